@@ -1,0 +1,1 @@
+//! verge: a calibrated sensor of traffic density.

@@ -1,0 +1,1 @@
+//! The simulated street: recordings with exact truth, for tests and the demo.

@@ -128,7 +128,7 @@ impl Series {
             + (n - 1.0) * mean * mean;
         let raw = if squares > 0.0 { lagged / squares } else { 0.0 };
         let most = (n - 1.0) / (n + 1.0);
-        let correlation = (raw + (1.0 + 3.0 * raw) / n).clamp(0.0, most);
+        let correlation = (raw + (1.0 + 3.0 * raw) / n).max(0.0).min(most);
         let independent = n * (1.0 - correlation) / (1.0 + correlation);
         let variance = (squares + mean + 0.5) / n;
         Some((mean, libm::sqrtf(variance / independent)))
@@ -251,7 +251,7 @@ impl Aggregator {
     /// # Errors
     /// [`AggregateError`] where the windows cannot be kept or never filled.
     pub fn new(
-        lanes: &[Lane],
+        lanes: &heapless::Vec<Lane, MAX_LANES>,
         window_lengths: &[Duration],
         interval: Duration,
         min_completeness: f32,
@@ -278,8 +278,7 @@ impl Aggregator {
         if windows.is_empty() {
             return Err(AggregateError::WindowCount(0));
         }
-        let lanes = lanes.iter().copied().take(MAX_LANES).collect();
-        Ok(Self { lanes, windows, interval, min_completeness, start })
+        Ok(Self { lanes: lanes.clone(), windows, interval, min_completeness, start })
     }
 
     /// Takes the counts of a frame captured at `time` and returns the windows that it
@@ -360,11 +359,14 @@ impl Aggregator {
         let (length_ms, interval_ms) = (millis(window.length), millis(self.interval).max(1));
         let expected = length_ms.saturating_add(interval_ms / 2).checked_div(interval_ms);
         let expected = expected.map_or(1, |n| n.clamp(1, i64::from(u32::MAX)) as u32);
-        let lanes = self.lanes.iter().filter_map(|lane| {
-            let series = window.series.get(usize::from(lane.id.get()) - 1)?;
-            Some(self.lane_report(lane, series, expected, window.fault))
-        });
-        WindowReport { from, to: from.saturating_add(window.length), lanes: lanes.collect() }
+        let mut lanes = heapless::Vec::new();
+        for lane in &self.lanes {
+            if let Some(series) = window.series.get(usize::from(lane.id.get()) - 1) {
+                // As many places as lanes: there is always room.
+                let _ = lanes.push(self.lane_report(lane, series, expected, window.fault));
+            }
+        }
+        WindowReport { from, to: from.saturating_add(window.length), lanes }
     }
 
     fn lane_report(
@@ -416,6 +418,7 @@ mod tests {
             Lane { id: lane_id(1), direction: Direction::Toward, length_m: 50.0 },
             Lane { id: lane_id(2), direction: Direction::Away, length_m: 100.0 },
         ];
+        let lanes = heapless::Vec::from_slice(&lanes).expect("two of eight");
         Aggregator::new(&lanes, windows, interval, 0.5, start).expect("a right configuration")
     }
 
@@ -544,7 +547,7 @@ mod tests {
 
     #[test]
     fn impossible_windows_are_refused() {
-        let lanes = [];
+        let lanes = heapless::Vec::new();
         let s = Duration::from_secs;
         let new = |lengths: &[Duration], interval| {
             Aggregator::new(&lanes, lengths, interval, 0.5, Start::AtNextWindow).err()

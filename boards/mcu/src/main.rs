@@ -90,13 +90,13 @@ mod firmware {
                 }
             }
             let time = UtcMs(frame.time_ms);
-            for report in line.observe(time, &counts) {
+            for report in &line.observe(time, &counts) {
                 seq = seq.wrapping_add(1);
                 let message = DensityMessage {
                     site: table.description().camera_id.clone(),
                     seq,
                     clock_synced: false,
-                    report,
+                    report: report.clone(),
                     calibration: CalibrationRef {
                         id: table.description().calibration_id.clone(),
                         sha256: table.description().calibration_sha256,

@@ -174,20 +174,22 @@ impl fmt::Display for LaneTableError {
 
 impl core::error::Error for LaneTableError {}
 
-/// A checked lane table over borrowed bytes (flash, a file in memory).
+/// A checked lane table over bytes that it borrows (flash) or owns (a file in memory).
 #[derive(Clone, Debug)]
-pub struct LaneTable<'a> {
+pub struct LaneTable<B> {
     description: Description,
-    cells: &'a [u8],
+    bytes: B,
+    cells_at: usize,
 }
 
-impl<'a> LaneTable<'a> {
+impl<B: AsRef<[u8]>> LaneTable<B> {
     /// Reads and checks a whole table.
     ///
     /// # Errors
     /// [`LaneTableError`] names the first thing that is wrong; nothing of a wrong table
     /// is ever used.
-    pub fn parse(bytes: &'a [u8]) -> Result<Self, LaneTableError> {
+    pub fn parse(table: B) -> Result<Self, LaneTableError> {
+        let bytes = table.as_ref();
         let too_short = |needed| LaneTableError::TooShort { needed, actual: bytes.len() };
         let header = bytes.first_chunk::<HEADER>().ok_or(too_short(HEADER + TRAILER))?;
         let [m0, m1, m2, m3, m4, m5, m6, m7, version, reserved, len0, len1] = *header;
@@ -225,10 +227,8 @@ impl<'a> LaneTable<'a> {
             return Err(LaneTableError::Value("the reserved byte is not 0"));
         }
         description.check()?;
-        let cells = body.get(cells_at..).unwrap_or(&[]);
-        let table = Self { description, cells };
-        table.check_cells()?;
-        Ok(table)
+        check_cells(&description, body.get(cells_at..).unwrap_or(&[]))?;
+        Ok(Self { description, bytes: table, cells_at })
     }
 
     /// What the table says about itself.
@@ -253,37 +253,37 @@ impl<'a> LaneTable<'a> {
     /// The cell of that index in row order.
     #[inline]
     fn cell(&self, index: usize) -> Option<Place> {
-        let start = index.checked_mul(CELL)?;
-        let &[lane, s0, s1, span0, span1] = self.cells.get(start..)?.first_chunk::<CELL>()?;
+        let cell = self.bytes.as_ref().get(self.cells_at + index * CELL..)?;
+        let &[lane, s0, s1, span0, span1] = cell.first_chunk::<CELL>()?;
         Some(Place {
             lane: LaneId::new(lane)?,
             s_m: f32::from(u16::from_le_bytes([s0, s1])) * 0.01,
             span_m: f32::from(u16::from_le_bytes([span0, span1])) * 0.001,
         })
     }
+}
 
-    fn check_cells(&self) -> Result<(), LaneTableError> {
-        let mut length_m = [None; MAX_LANES + 1];
-        for lane in &self.description.lanes {
-            if let Some(slot) = length_m.get_mut(usize::from(lane.id.get())) {
-                *slot = Some(lane.length_m);
-            }
+fn check_cells(description: &Description, cells: &[u8]) -> Result<(), LaneTableError> {
+    let mut length_m = [None; MAX_LANES + 1];
+    for lane in &description.lanes {
+        if let Some(slot) = length_m.get_mut(usize::from(lane.id.get())) {
+            *slot = Some(lane.length_m);
         }
-        for (cell, bytes) in self.cells.as_chunks::<CELL>().0.iter().enumerate() {
-            let &[lane, s0, s1, _, _] = bytes;
-            if lane == 0 {
-                continue;
-            }
-            let Some(Some(length_m)) = length_m.get(usize::from(lane)) else {
-                return Err(LaneTableError::CellLane { cell, lane });
-            };
-            // Half a centimetre of rounding in the cell, as much in the length.
-            if f32::from(u16::from_le_bytes([s0, s1])) * 0.01 > length_m + 0.01 {
-                return Err(LaneTableError::CellDistance { cell });
-            }
-        }
-        Ok(())
     }
+    for (cell, bytes) in cells.as_chunks::<CELL>().0.iter().enumerate() {
+        let &[lane, s0, s1, _, _] = bytes;
+        if lane == 0 {
+            continue;
+        }
+        let Some(Some(length_m)) = length_m.get(usize::from(lane)) else {
+            return Err(LaneTableError::CellLane { cell, lane });
+        };
+        // Half a centimetre of rounding in the cell, as much in the length.
+        if f32::from(u16::from_le_bytes([s0, s1])) * 0.01 > length_m + 0.01 {
+            return Err(LaneTableError::CellDistance { cell });
+        }
+    }
+    Ok(())
 }
 
 impl Description {
@@ -355,7 +355,7 @@ pub fn encode(
     }
     let (body, trailer) = table.split_last_chunk_mut::<TRAILER>().ok_or(full)?;
     *trailer = CRC.checksum(body).to_le_bytes();
-    LaneTable::parse(table)?;
+    LaneTable::parse(&*table)?;
     Ok(needed)
 }
 
@@ -442,7 +442,7 @@ mod tests {
     #[test]
     fn round_trip() {
         let bytes = encoded();
-        let table = LaneTable::parse(&bytes).expect("just written");
+        let table = LaneTable::parse(&bytes[..]).expect("just written");
         assert_eq!(table.description(), &description());
         for v in 0..2u16 {
             for u in 0..4u16 {
@@ -455,7 +455,7 @@ mod tests {
     #[test]
     fn points_outside_the_picture_have_no_place() {
         let bytes = encoded();
-        let table = LaneTable::parse(&bytes).expect("just written");
+        let table = LaneTable::parse(&bytes[..]).expect("just written");
         for (u, v) in [
             (-0.01, 0.5),
             (0.5, -1.0),
@@ -474,7 +474,7 @@ mod tests {
         for bit in 0..good.len() * 8 {
             let mut bad = good.clone();
             bad[bit / 8] ^= 1 << (bit % 8);
-            assert!(LaneTable::parse(&bad).is_err(), "bit {bit}");
+            assert!(LaneTable::parse(&bad[..]).is_err(), "bit {bit}");
         }
     }
 
@@ -486,7 +486,7 @@ mod tests {
         }
         let mut long = good.clone();
         long.push(0);
-        assert!(LaneTable::parse(&long).is_err());
+        assert!(LaneTable::parse(&long[..]).is_err());
     }
 
     /// Bytes with a right checksum but a wrong inside: the reader trusts no writer.
@@ -504,13 +504,16 @@ mod tests {
         let cells = encoded().len() - 4 - 8 * CELL;
         let unknown_lane = resealed(|bytes| bytes[cells] = 2);
         assert_eq!(
-            LaneTable::parse(&unknown_lane).err(),
+            LaneTable::parse(&unknown_lane[..]).err(),
             Some(LaneTableError::CellLane { cell: 0, lane: 2 })
         );
         let beyond = resealed(|bytes| bytes[cells + 2] = 0xff);
-        assert_eq!(LaneTable::parse(&beyond).err(), Some(LaneTableError::CellDistance { cell: 0 }));
+        assert_eq!(
+            LaneTable::parse(&beyond[..]).err(),
+            Some(LaneTableError::CellDistance { cell: 0 })
+        );
         let lane_zero = resealed(|bytes| bytes[18] = 0);
-        assert_eq!(LaneTable::parse(&lane_zero).err(), Some(LaneTableError::Description));
+        assert_eq!(LaneTable::parse(&lane_zero[..]).err(), Some(LaneTableError::Description));
     }
 
     #[test]

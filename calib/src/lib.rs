@@ -15,10 +15,17 @@
 //! beside the camera.
 
 pub mod camera;
+pub mod candidates;
+pub mod cmaes;
 pub mod epnp;
 pub mod error;
+pub mod fine_tuning;
 pub mod labelme;
+pub mod loss;
+pub mod model_matching;
+pub mod mvcalib;
 pub mod pose_refinement;
+pub mod problem;
 pub mod validation;
 pub mod vehicle;
 

@@ -1,1 +1,19 @@
-//! verge: a calibrated sensor of traffic density.
+//! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
+//!
+//! The core (`units`, `lane`, `density`, `wire`, `hal`, `health`) is `no_std` and never
+//! allocates: time and temperature come in as arguments, effects go out as returned
+//! values. `daemon`, behind the feature of that name, is the line from camera to broker.
+#![cfg_attr(not(feature = "daemon"), no_std)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod density;
+pub mod hal;
+pub mod health;
+pub mod lane;
+pub mod units;
+pub mod wire;
+
+#[cfg(feature = "daemon")]
+pub mod daemon;

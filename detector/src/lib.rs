@@ -1,0 +1,1 @@
+//! The detector, offline: data mix, evaluation, training, quantisation.

@@ -1,0 +1,200 @@
+//! Whether the sensor can be believed: picture faults, alarms, and the camera's power.
+//!
+//! Owns the rules by which faults become a status. Reads no clock and drives no pin: it is
+//! told the time since start and returns what to do. Judging the picture itself (dark,
+//! blurred, moved) is not done here.
+
+use crate::density::SampleZoneStatus;
+use core::time::Duration;
+
+/// A picture that is missing or frozen is noticed after this time, or after
+/// [`PERIODS`] of the camera where those are longer.
+pub const NOTICE: Duration = Duration::from_secs(20);
+/// Camera periods without a new picture until it is noticed.
+pub const PERIODS: u32 = 3;
+/// How long the camera's power stays off in a power cycle: long enough for its supply's
+/// capacitors to empty.
+pub const POWER_OFF: Duration = Duration::from_secs(10);
+/// Wait between a missing picture and the first power cycle; doubles up to
+/// [`POWER_CYCLE_MAX`] while it does not help.
+pub const POWER_CYCLE_FIRST: Duration = Duration::from_secs(120);
+/// Longest wait between two power cycles.
+pub const POWER_CYCLE_MAX: Duration = Duration::from_secs(3600);
+
+/// What happened at one turn of the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A new picture went through the whole line.
+    Measured,
+    /// The camera gave the picture that it gave before.
+    Unchanged,
+    /// A picture came that cannot be read or measured.
+    Damaged,
+    /// No picture came.
+    Missing,
+}
+
+/// An alarm that is raised and cleared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Alarm {
+    /// No picture for longer than the limit.
+    NoPicture,
+    /// The same picture for longer than the limit.
+    FrozenPicture,
+}
+
+impl Alarm {
+    /// The alarm's name in topics.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NoPicture => "no_picture",
+            Self::FrozenPicture => "frozen_picture",
+        }
+    }
+}
+
+/// What follows from an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Actions {
+    /// How far a measurement can be used now.
+    pub status: SampleZoneStatus,
+    /// The alarm that is on now.
+    pub alarm: Option<Alarm>,
+    /// The status lamp: lit while measuring, blinking at 1 Hz otherwise.
+    pub led_on: bool,
+    /// The camera's power.
+    pub camera_power_on: bool,
+}
+
+/// The state of the camera as far as its pictures show it.
+#[derive(Clone, Debug)]
+pub struct Health {
+    limit: Duration,
+    last_new: Duration,
+    last_any: Duration,
+    next_cycle: Duration,
+    cycle_wait: Duration,
+    power_back: Option<Duration>,
+}
+
+impl Health {
+    /// A camera that gives a picture each `interval`, healthy at `now` (time since start).
+    pub fn new(interval: Duration, now: Duration) -> Self {
+        let limit = interval.saturating_mul(PERIODS).max(NOTICE);
+        Self {
+            limit,
+            last_new: now,
+            last_any: now,
+            next_cycle: now.saturating_add(limit).saturating_add(POWER_CYCLE_FIRST),
+            cycle_wait: POWER_CYCLE_FIRST,
+            power_back: None,
+        }
+    }
+
+    /// Takes what happened at `now` and returns what follows. Called at least once a
+    /// second, with the latest event repeated while nothing new happens.
+    pub fn on(&mut self, event: Event, now: Duration) -> Actions {
+        match event {
+            Event::Measured => (self.last_new, self.last_any) = (now, now),
+            Event::Unchanged | Event::Damaged => self.last_any = now,
+            Event::Missing => {}
+        }
+        let alarm = if now.saturating_sub(self.last_any) > self.limit {
+            Some(Alarm::NoPicture)
+        } else if now.saturating_sub(self.last_new) > self.limit {
+            Some(Alarm::FrozenPicture)
+        } else {
+            None
+        };
+        let status = match alarm {
+            None => SampleZoneStatus::Ok,
+            Some(Alarm::NoPicture) => SampleZoneStatus::SensorFailure,
+            Some(Alarm::FrozenPicture) => SampleZoneStatus::InputDataIntegrity,
+        };
+        let camera_power_on = self.power(alarm, now);
+        let led_on = alarm.is_none() || now.subsec_millis() < 500;
+        Actions { status, alarm, led_on, camera_power_on }
+    }
+
+    fn power(&mut self, alarm: Option<Alarm>, now: Duration) -> bool {
+        if let Some(back) = self.power_back {
+            if now < back {
+                return false;
+            }
+            self.power_back = None;
+        }
+        if alarm.is_none() {
+            self.cycle_wait = POWER_CYCLE_FIRST;
+            self.next_cycle =
+                self.last_new.saturating_add(self.limit).saturating_add(self.cycle_wait);
+        } else if now >= self.next_cycle {
+            self.power_back = Some(now.saturating_add(POWER_OFF));
+            self.cycle_wait = self.cycle_wait.saturating_mul(2).min(POWER_CYCLE_MAX);
+            self.next_cycle = now.saturating_add(self.cycle_wait);
+            return false;
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    fn after(seconds: u32) -> Duration {
+        SECOND * seconds
+    }
+
+    #[test]
+    fn a_missing_picture_is_noticed_after_20_s_and_forgotten_when_it_returns() {
+        let mut health = Health::new(SECOND, after(0));
+        assert_eq!(health.on(Event::Missing, after(20)).alarm, None);
+        let noticed = health.on(Event::Missing, after(21));
+        assert_eq!(noticed.alarm, Some(Alarm::NoPicture));
+        assert_eq!(noticed.status, SampleZoneStatus::SensorFailure);
+        assert_eq!(health.on(Event::Measured, after(22)).alarm, None);
+    }
+
+    #[test]
+    fn a_slow_camera_is_given_three_periods() {
+        let mut health = Health::new(after(120), after(0));
+        assert_eq!(health.on(Event::Missing, after(360)).alarm, None);
+        assert_eq!(health.on(Event::Missing, after(361)).alarm, Some(Alarm::NoPicture));
+    }
+
+    #[test]
+    fn a_frozen_picture_is_not_a_missing_one() {
+        let mut health = Health::new(SECOND, after(0));
+        for second in 1..=20 {
+            assert_eq!(health.on(Event::Unchanged, after(second)).alarm, None);
+        }
+        let noticed = health.on(Event::Unchanged, after(21));
+        assert_eq!(noticed.alarm, Some(Alarm::FrozenPicture));
+        assert_eq!(noticed.status, SampleZoneStatus::InputDataIntegrity);
+    }
+
+    #[test]
+    fn power_is_cycled_with_growing_waits() {
+        let mut health = Health::new(SECOND, after(0));
+        let mut offs = std::vec::Vec::new();
+        let mut was_on = true;
+        for second in 0..4000 {
+            let on = health.on(Event::Missing, after(second)).camera_power_on;
+            if was_on && !on {
+                offs.push(second);
+            }
+            was_on = on;
+        }
+        assert_eq!(offs, [140, 380, 860, 1820, 3740]);
+    }
+
+    #[test]
+    fn power_stays_off_for_ten_seconds() {
+        let mut health = Health::new(SECOND, after(0));
+        assert!(!health.on(Event::Missing, after(140)).camera_power_on);
+        assert!(!health.on(Event::Missing, after(149)).camera_power_on);
+        assert!(health.on(Event::Missing, after(150)).camera_power_on);
+    }
+}

@@ -1,0 +1,534 @@
+//! The lane table: for every pixel the lane, the distance along it, and its scale.
+//!
+//! Owns the file format, its writer and a reader that trusts nothing. Does not know how
+//! the table was calibrated or who asks it. The table is made offline by `mvcalib table`
+//! and is the only thing that calibration and the sensor share.
+//!
+//! | offset | bytes | field |
+//! |---|---|---|
+//! | 0 | 8 | magic `VERGELUT` |
+//! | 8 | 1 | format version, 1 |
+//! | 9 | 1 | reserved, 0 |
+//! | 10 | 2 | length M of the description |
+//! | 12 | M | description: [`Description`] in postcard |
+//! | 12+M | 5 N | N = width x height cells in row order |
+//! | 12+M+5N | 4 | CRC-32 (ISO-HDLC) of all bytes before |
+//!
+//! Numbers are little-endian. A cell is `lane: u8` (0: no lane), `s_cm: u16` (distance
+//! along the lane in cm, to 655 m) and `span_mm: u16` (road length along the lane that
+//! one pixel spans there, in mm, to 65 m).
+
+use crate::units::{Direction, ImagePoint, ImageSize, LaneId, MAX_LANES};
+use core::fmt;
+use crc::{CRC_32_ISO_HDLC, Crc};
+use serde::{Deserialize, Serialize};
+
+/// First bytes of every lane table.
+pub const MAGIC: [u8; 8] = *b"VERGELUT";
+/// The format that this code reads and writes.
+pub const VERSION: u8 = 1;
+/// Longest camera or calibration name, bytes of UTF-8: NTCIP and FIWARE ids fit.
+pub const MAX_NAME: usize = 48;
+/// Most bytes that a [`Description`] takes in postcard: two names, a hash, eight lanes of
+/// at most 6 bytes, sizes and errors come to 200; a half more leaves room.
+pub const MAX_DESCRIPTION: usize = 320;
+/// Most cells of a table: 1920x1080. A table is held in memory (10 MB at this size).
+pub const MAX_CELLS: usize = 1920 * 1080;
+/// Longest lane that a cell's `s_cm` can address, m.
+pub const MAX_LANE_LENGTH_M: f32 = 655.35;
+
+const HEADER: usize = 12;
+const CELL: usize = 5;
+const TRAILER: usize = 4;
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// A short name without allocation.
+pub type Name = heapless::String<MAX_NAME>;
+
+/// One lane of the table.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Lane {
+    /// Its number.
+    pub id: LaneId,
+    /// Which way its traffic moves.
+    pub direction: Direction,
+    /// Length of its centre line inside the table, m.
+    pub length_m: f32,
+}
+
+/// What the table says about itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Description {
+    /// The camera that it belongs to.
+    pub camera_id: Name,
+    /// The picture size that its cells address.
+    pub image_size: ImageSize,
+    /// Its lanes, by rising number.
+    pub lanes: heapless::Vec<Lane, MAX_LANES>,
+    /// One standard error of a length on the road, as a fraction; `None`: not stated.
+    pub length_rel_err: Option<f32>,
+    /// Which calibration it was made from, for people.
+    pub calibration_id: Name,
+    /// SHA-256 of the calibration file.
+    pub calibration_sha256: [u8; 32],
+}
+
+/// One cell, in units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// The lane.
+    pub lane: LaneId,
+    /// Distance along the lane's centre line from its upstream end, m.
+    pub s_m: f32,
+    /// Road length along the lane that one pixel spans here, m.
+    pub span_m: f32,
+}
+
+/// Why bytes are not a lane table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LaneTableError {
+    /// Fewer bytes than the smallest table, or than this table's header asks for.
+    TooShort {
+        /// Bytes needed.
+        needed: usize,
+        /// Bytes there.
+        actual: usize,
+    },
+    /// More bytes than the header asks for.
+    TooLong {
+        /// Bytes that belong to the table.
+        needed: usize,
+        /// Bytes there.
+        actual: usize,
+    },
+    /// Not a lane table.
+    Magic,
+    /// A format that this program does not read.
+    Version {
+        /// The version found.
+        found: u8,
+    },
+    /// The bytes were changed since the table was written.
+    Crc {
+        /// Checksum in the file.
+        stored: u32,
+        /// Checksum of the bytes.
+        computed: u32,
+    },
+    /// The description does not decode.
+    Description,
+    /// The description holds a value that no road has; the text names it.
+    Value(&'static str),
+    /// A cell names a lane that the description lacks.
+    CellLane {
+        /// Index of the cell in row order.
+        cell: usize,
+        /// The lane that it names.
+        lane: u8,
+    },
+    /// A cell lies beyond the end of its lane.
+    CellDistance {
+        /// Index of the cell in row order.
+        cell: usize,
+    },
+    /// The buffer given to the writer is too small.
+    Buffer {
+        /// Bytes needed.
+        needed: usize,
+        /// Bytes there.
+        actual: usize,
+    },
+}
+
+impl fmt::Display for LaneTableError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooShort { needed, actual } => {
+                write!(f, "has {actual} bytes where {needed} belong: it was cut off; copy it again")
+            }
+            Self::TooLong { needed, actual } => {
+                write!(f, "has {actual} bytes where {needed} belong: something was appended")
+            }
+            Self::Magic => write!(f, "is no lane table (make one with `mvcalib table`)"),
+            Self::Version { found } => {
+                write!(f, "has format version {found}, this program reads {VERSION}: make it anew")
+            }
+            Self::Crc { stored, computed } => write!(
+                f,
+                "is damaged: checksum {computed:08x}, its trailer says {stored:08x}; copy it again"
+            ),
+            Self::Description => write!(f, "has a description that does not decode: make it anew"),
+            Self::Value(what) => write!(f, "has an impossible value: {what}"),
+            Self::CellLane { cell, lane } => {
+                write!(f, "puts cell {cell} into lane {lane}, which it does not describe")
+            }
+            Self::CellDistance { cell } => {
+                write!(f, "puts cell {cell} beyond the end of its lane")
+            }
+            Self::Buffer { needed, actual } => {
+                write!(f, "needs {needed} bytes, the buffer has {actual}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for LaneTableError {}
+
+/// A checked lane table over bytes that it borrows (flash) or owns (a file in memory).
+#[derive(Clone, Debug)]
+pub struct LaneTable<B> {
+    description: Description,
+    bytes: B,
+    cells_at: usize,
+}
+
+impl<B: AsRef<[u8]>> LaneTable<B> {
+    /// Reads and checks a whole table.
+    ///
+    /// # Errors
+    /// [`LaneTableError`] names the first thing that is wrong; nothing of a wrong table
+    /// is ever used.
+    pub fn parse(table: B) -> Result<Self, LaneTableError> {
+        let bytes = table.as_ref();
+        let too_short = |needed| LaneTableError::TooShort { needed, actual: bytes.len() };
+        let header = bytes.first_chunk::<HEADER>().ok_or(too_short(HEADER + TRAILER))?;
+        let [m0, m1, m2, m3, m4, m5, m6, m7, version, reserved, len0, len1] = *header;
+        if [m0, m1, m2, m3, m4, m5, m6, m7] != MAGIC {
+            return Err(LaneTableError::Magic);
+        }
+        if version != VERSION {
+            return Err(LaneTableError::Version { found: version });
+        }
+        let (body, trailer) = bytes.split_last_chunk::<TRAILER>().ok_or(too_short(HEADER))?;
+        let (stored, computed) = (u32::from_le_bytes(*trailer), CRC.checksum(body));
+        let description_len = usize::from(u16::from_le_bytes([len0, len1]));
+        let cells_at = HEADER + description_len;
+        let Some(encoded) = body.get(HEADER..cells_at) else {
+            return Err(too_short(cells_at + TRAILER));
+        };
+        let description = match postcard::take_from_bytes::<Description>(encoded) {
+            Ok((description, [])) => description,
+            // A changed byte is told apart from a writer's mistake by the checksum.
+            _ if stored != computed => return Err(LaneTableError::Crc { stored, computed }),
+            _ => return Err(LaneTableError::Description),
+        };
+        let cell_count = description.cell_count();
+        let needed = cells_at + cell_count * CELL + TRAILER;
+        if bytes.len() < needed && cell_count <= MAX_CELLS {
+            return Err(too_short(needed));
+        }
+        if stored != computed {
+            return Err(LaneTableError::Crc { stored, computed });
+        }
+        if bytes.len() > needed {
+            return Err(LaneTableError::TooLong { needed, actual: bytes.len() });
+        }
+        if reserved != 0 {
+            return Err(LaneTableError::Value("the reserved byte is not 0"));
+        }
+        description.check()?;
+        check_cells(&description, body.get(cells_at..).unwrap_or(&[]))?;
+        Ok(Self { description, bytes: table, cells_at })
+    }
+
+    /// What the table says about itself.
+    pub const fn description(&self) -> &Description {
+        &self.description
+    }
+
+    /// Where an image point lies on the road: `None` outside the lanes and the picture.
+    /// `point` is in pixels of [`Description::image_size`]. One memory access, O(1).
+    #[inline]
+    pub fn place(&self, point: ImagePoint) -> Option<Place> {
+        let size = self.description.image_size;
+        let (width, height) = (f32::from(size.width), f32::from(size.height));
+        // Written so that NaN is outside too.
+        let inside = point.u >= 0.0 && point.v >= 0.0 && point.u < width && point.v < height;
+        if !inside {
+            return None;
+        }
+        self.cell(point.v as usize * usize::from(size.width) + point.u as usize)
+    }
+
+    /// The cell of that index in row order.
+    #[inline]
+    fn cell(&self, index: usize) -> Option<Place> {
+        let cell = self.bytes.as_ref().get(self.cells_at + index * CELL..)?;
+        let &[lane, s0, s1, span0, span1] = cell.first_chunk::<CELL>()?;
+        Some(Place {
+            lane: LaneId::new(lane)?,
+            s_m: f32::from(u16::from_le_bytes([s0, s1])) * 0.01,
+            span_m: f32::from(u16::from_le_bytes([span0, span1])) * 0.001,
+        })
+    }
+}
+
+fn check_cells(description: &Description, cells: &[u8]) -> Result<(), LaneTableError> {
+    let mut length_m = [None; MAX_LANES + 1];
+    for lane in &description.lanes {
+        if let Some(slot) = length_m.get_mut(usize::from(lane.id.get())) {
+            *slot = Some(lane.length_m);
+        }
+    }
+    for (cell, bytes) in cells.as_chunks::<CELL>().0.iter().enumerate() {
+        let &[lane, s0, s1, _, _] = bytes;
+        if lane == 0 {
+            continue;
+        }
+        let Some(Some(length_m)) = length_m.get(usize::from(lane)) else {
+            return Err(LaneTableError::CellLane { cell, lane });
+        };
+        // Half a centimetre of rounding in the cell, as much in the length.
+        if f32::from(u16::from_le_bytes([s0, s1])) * 0.01 > length_m + 0.01 {
+            return Err(LaneTableError::CellDistance { cell });
+        }
+    }
+    Ok(())
+}
+
+impl Description {
+    /// Number of cells that follow the description.
+    pub const fn cell_count(&self) -> usize {
+        self.image_size.width as usize * self.image_size.height as usize
+    }
+
+    /// The lane of that number.
+    pub fn lane(&self, id: LaneId) -> Option<&Lane> {
+        self.lanes.iter().find(|lane| lane.id == id)
+    }
+
+    fn check(&self) -> Result<(), LaneTableError> {
+        let known = |ok: bool, what: &'static str| {
+            if ok { Ok(()) } else { Err(LaneTableError::Value(what)) }
+        };
+        known(self.cell_count() > 0, "the picture has no pixels")?;
+        known(self.cell_count() <= MAX_CELLS, "the picture is larger than 1920x1080")?;
+        known(!self.lanes.is_empty(), "there is no lane")?;
+        let rising = self.lanes.iter().zip(self.lanes.iter().skip(1)).all(|(a, b)| a.id < b.id);
+        known(rising, "the lanes are not in rising order")?;
+        for lane in &self.lanes {
+            let length_ok = lane.length_m > 0.0 && lane.length_m <= MAX_LANE_LENGTH_M;
+            known(length_ok, "a lane is not between 0 and 655.35 m long")?;
+        }
+        let rel_err_ok = self.length_rel_err.is_none_or(|e| e >= 0.0 && e.is_finite());
+        known(rel_err_ok, "the stated error is negative or not a number")
+    }
+}
+
+/// Writes a lane table into `buffer` and returns how many bytes it takes.
+///
+/// `cell(u, v)` gives what stands in column `u`, row `v`. Distances are rounded to the
+/// centimetre and spans to the millimetre; a span over 65 m is held there.
+///
+/// # Errors
+/// [`LaneTableError::Buffer`] where `buffer` is too small ([`encoded_len`] says the size),
+/// and whatever [`LaneTable::parse`] would refuse: a table that cannot be read is never
+/// written.
+pub fn encode(
+    description: &Description,
+    mut cell: impl FnMut(u16, u16) -> Option<Place>,
+    buffer: &mut [u8],
+) -> Result<usize, LaneTableError> {
+    description.check()?;
+    let actual = buffer.len();
+    let needed = encoded_len(description);
+    let table = buffer.get_mut(..needed).ok_or(LaneTableError::Buffer { needed, actual })?;
+    let mut scratch = [0; MAX_DESCRIPTION];
+    let encoded =
+        postcard::to_slice(description, &mut scratch).map_err(|_| LaneTableError::Description)?;
+    let mut rest = &mut *table;
+    let mut put = |bytes: &[u8]| {
+        let (head, tail) = core::mem::take(&mut rest).split_at_mut_checked(bytes.len())?;
+        head.copy_from_slice(bytes);
+        rest = tail;
+        Some(())
+    };
+    let full = LaneTableError::Buffer { needed, actual };
+    put(&MAGIC).ok_or(full)?;
+    put(&[VERSION, 0]).ok_or(full)?;
+    put(&(encoded.len() as u16).to_le_bytes()).ok_or(full)?;
+    put(encoded).ok_or(full)?;
+    for v in 0..description.image_size.height {
+        for u in 0..description.image_size.width {
+            put(&encode_cell(cell(u, v))).ok_or(full)?;
+        }
+    }
+    let (body, trailer) = table.split_last_chunk_mut::<TRAILER>().ok_or(full)?;
+    *trailer = CRC.checksum(body).to_le_bytes();
+    LaneTable::parse(&*table)?;
+    Ok(needed)
+}
+
+/// Bytes that a table with this description takes.
+pub fn encoded_len(description: &Description) -> usize {
+    let mut scratch = [0; MAX_DESCRIPTION];
+    let len = postcard::to_slice(description, &mut scratch).map_or(MAX_DESCRIPTION, |s| s.len());
+    HEADER + len + description.cell_count() * CELL + TRAILER
+}
+
+fn encode_cell(place: Option<Place>) -> [u8; CELL] {
+    let Some(place) = place else { return [0; CELL] };
+    // `as` saturates: a negative or too long value stays at the end of the range.
+    let [s0, s1] = ((place.s_m * 100.0 + 0.5) as u16).to_le_bytes();
+    let [span0, span1] = ((place.span_m * 1000.0 + 0.5) as u16).to_le_bytes();
+    [place.lane.get(), s0, s1, span0, span1]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lane(number: u8) -> LaneId {
+        LaneId::new(number).expect("a test's lane number is in range")
+    }
+
+    fn description() -> Description {
+        Description {
+            camera_id: Name::try_from("K1").expect("short"),
+            image_size: ImageSize { width: 4, height: 2 },
+            lanes: heapless::Vec::from_slice(&[
+                Lane { id: lane(1), direction: Direction::Toward, length_m: 50.0 },
+                Lane { id: lane(3), direction: Direction::Away, length_m: 40.25 },
+            ])
+            .expect("two of eight"),
+            length_rel_err: Some(0.0625),
+            calibration_id: Name::try_from("c").expect("short"),
+            calibration_sha256: [0xab; 32],
+        }
+    }
+
+    /// Lane 1 in the first column, lane 3 in the last, nothing between.
+    fn cell(u: u16, v: u16) -> Option<Place> {
+        let at = |number, s_m, span_m| Some(Place { lane: lane(number), s_m, span_m });
+        match u {
+            0 => at(1, 50.0 - 25.0 * f32::from(v), 0.5),
+            3 => at(3, 40.25, 0.125),
+            _ => None,
+        }
+    }
+
+    fn encoded() -> std::vec::Vec<u8> {
+        let mut bytes = std::vec![0; encoded_len(&description())];
+        let len = encode(&description(), cell, &mut bytes).expect("the test's table is right");
+        assert_eq!(len, bytes.len());
+        bytes
+    }
+
+    #[test]
+    fn golden_bytes() {
+        let mut golden = std::vec::Vec::new();
+        golden.extend_from_slice(b"VERGELUT\x01\x00");
+        let description: &[&[u8]] = &[
+            b"\x02K1",
+            &[4, 2],
+            &[2, 1, 1, 0, 0, 0x48, 0x42, 3, 2, 0, 0, 0x21, 0x42],
+            &[1, 0, 0, 0x80, 0x3d],
+            b"\x01c",
+            &[0xab; 32],
+        ];
+        let description = description.concat();
+        golden.extend_from_slice(&(description.len() as u16).to_le_bytes());
+        golden.extend_from_slice(&description);
+        let none = [0; 5];
+        let far = [3, 0xb9, 0x0f, 125, 0];
+        for first in [[1, 0x88, 0x13, 0xf4, 1], [1, 0xc4, 0x09, 0xf4, 1]] {
+            golden.extend_from_slice(&[first, none, none, far].concat());
+        }
+        golden.extend_from_slice(&CRC.checksum(&golden).to_le_bytes());
+        assert_eq!(encoded(), golden);
+        assert_eq!(&golden[golden.len() - 4..], &[62, 62, 150, 240], "the checksum's own bytes");
+    }
+
+    #[test]
+    fn round_trip() {
+        let bytes = encoded();
+        let table = LaneTable::parse(&bytes[..]).expect("just written");
+        assert_eq!(table.description(), &description());
+        for v in 0..2u16 {
+            for u in 0..4u16 {
+                let point = ImagePoint { u: f32::from(u) + 0.5, v: f32::from(v) + 0.999 };
+                assert_eq!(table.place(point), cell(u, v), "cell ({u}, {v})");
+            }
+        }
+    }
+
+    #[test]
+    fn points_outside_the_picture_have_no_place() {
+        let bytes = encoded();
+        let table = LaneTable::parse(&bytes[..]).expect("just written");
+        for (u, v) in [
+            (-0.01, 0.5),
+            (0.5, -1.0),
+            (4.0, 0.5),
+            (0.5, 2.0),
+            (f32::NAN, 0.5),
+            (0.5, f32::INFINITY),
+        ] {
+            assert_eq!(table.place(ImagePoint { u, v }), None, "({u}, {v})");
+        }
+    }
+
+    #[test]
+    fn every_flipped_bit_is_refused() {
+        let good = encoded();
+        for bit in 0..good.len() * 8 {
+            let mut bad = good.clone();
+            bad[bit / 8] ^= 1 << (bit % 8);
+            assert!(LaneTable::parse(&bad[..]).is_err(), "bit {bit}");
+        }
+    }
+
+    #[test]
+    fn every_truncation_and_an_added_byte_are_refused() {
+        let good = encoded();
+        for len in 0..good.len() {
+            assert!(LaneTable::parse(&good[..len]).is_err(), "{len} bytes");
+        }
+        let mut long = good.clone();
+        long.push(0);
+        assert!(LaneTable::parse(&long[..]).is_err());
+    }
+
+    /// Bytes with a right checksum but a wrong inside: the reader trusts no writer.
+    fn resealed(change: impl FnOnce(&mut std::vec::Vec<u8>)) -> std::vec::Vec<u8> {
+        let mut bytes = encoded();
+        bytes.truncate(bytes.len() - 4);
+        change(&mut bytes);
+        let crc = CRC.checksum(&bytes);
+        bytes.extend_from_slice(&crc.to_le_bytes());
+        bytes
+    }
+
+    #[test]
+    fn a_well_sealed_lie_is_refused() {
+        let cells = encoded().len() - 4 - 8 * CELL;
+        let unknown_lane = resealed(|bytes| bytes[cells] = 2);
+        assert_eq!(
+            LaneTable::parse(&unknown_lane[..]).err(),
+            Some(LaneTableError::CellLane { cell: 0, lane: 2 })
+        );
+        let beyond = resealed(|bytes| bytes[cells + 2] = 0xff);
+        assert_eq!(
+            LaneTable::parse(&beyond[..]).err(),
+            Some(LaneTableError::CellDistance { cell: 0 })
+        );
+        let lane_zero = resealed(|bytes| bytes[18] = 0);
+        assert_eq!(LaneTable::parse(&lane_zero[..]).err(), Some(LaneTableError::Description));
+    }
+
+    #[test]
+    fn impossible_descriptions_are_not_written() {
+        let mut buffer = [0; 512];
+        let mut longer = description();
+        longer.lanes[0].length_m = f32::NAN;
+        assert!(encode(&longer, cell, &mut buffer).is_err());
+        let mut unordered = description();
+        unordered.lanes.swap(0, 1);
+        assert!(encode(&unordered, cell, &mut buffer).is_err());
+        let mut small = [0; 16];
+        assert!(matches!(
+            encode(&description(), cell, &mut small),
+            Err(LaneTableError::Buffer { actual: 16, .. })
+        ));
+    }
+}

@@ -95,9 +95,8 @@ struct Constants {
 impl Constants {
     fn new() -> Self {
         let n = DIMENSION as f64;
-        let raw: [f64; PARENTS] = std::array::from_fn(|i| {
-            ((POPULATION as f64 + 1.0) / 2.0).ln() - ((i + 1) as f64).ln()
-        });
+        let raw: [f64; PARENTS] =
+            std::array::from_fn(|i| ((POPULATION as f64 + 1.0) / 2.0).ln() - ((i + 1) as f64).ln());
         let sum: f64 = raw.iter().sum();
         let weights = raw.map(|w| w / sum);
         let mu_eff = 1.0 / weights.iter().map(|w| w * w).sum::<f64>();
@@ -157,8 +156,8 @@ impl State {
         let settled = 1.0 - (1.0 - k.c_sigma).powf(2.0 * self.generation as f64);
         let stalled = length / settled.sqrt() >= (1.4 + 2.0 / (DIMENSION as f64 + 1.0)) * k.chi_n;
         let h = if stalled { 0.0 } else { 1.0 };
-        self.path_c = self.path_c * (1.0 - k.c_c)
-            + shift * (h * (k.c_c * (2.0 - k.c_c) * k.mu_eff).sqrt());
+        self.path_c =
+            self.path_c * (1.0 - k.c_c) + shift * (h * (k.c_c * (2.0 - k.c_c) * k.mu_eff).sqrt());
 
         let lost = (1.0 - h) * k.c_c * (2.0 - k.c_c);
         self.covariance *= 1.0 - k.c_1 - k.c_mu + k.c_1 * lost;

@@ -55,7 +55,8 @@ pub fn mean_error_px(pairs: &[Pair], lens: &Lens, pose: &Pose) -> f64 {
     let sum: f64 = pairs
         .iter()
         .map(|p| {
-            lens.project(&pose.transform(&p.world)).map_or(f64::INFINITY, |uv| (uv - p.image).norm())
+            lens.project(&pose.transform(&p.world))
+                .map_or(f64::INFINITY, |uv| (uv - p.image).norm())
         })
         .sum();
     sum / pairs.len() as f64
@@ -272,7 +273,12 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    fn scene(rng: &mut ChaCha8Rng, n: usize, depth_m: f64, planar: bool) -> (Vec<Pair>, Lens, Pose) {
+    fn scene(
+        rng: &mut ChaCha8Rng,
+        n: usize,
+        depth_m: f64,
+        planar: bool,
+    ) -> (Vec<Pair>, Lens, Pose) {
         let lens = Lens { f: 800.0, centre: Vector2::new(320.0, 240.0), k1: 0.0 };
         let mut coordinate = |s: f64| rng.random_range(-s..s);
         let pose = Pose::from_vectors(

@@ -119,7 +119,9 @@ pub enum Error {
         problem: String,
     },
     /// No solver found a pose for a vehicle.
-    #[error("{vehicle}: no pose fits its key points with any of the {models} vehicle models: {detail}")]
+    #[error(
+        "{vehicle}: no pose fits its key points with any of the {models} vehicle models: {detail}"
+    )]
     NoPose {
         /// The vehicle.
         vehicle: String,

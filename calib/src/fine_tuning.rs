@@ -37,7 +37,9 @@ pub fn tune(
         .collect()
 }
 
-/// The anchor with the smallest loss (Eq. final).
-pub fn best(tuned: &[Matched]) -> Option<&Matched> {
-    tuned.iter().filter(|t| t.loss.is_finite()).min_by(|a, b| a.loss.total_cmp(&b.loss))
+/// Index of the anchor with the smallest loss (Eq. final); `None` when none is finite.
+pub fn best(tuned: &[Matched]) -> Option<usize> {
+    (0..tuned.len())
+        .filter(|&i| tuned[i].loss.is_finite())
+        .min_by(|&a, &b| tuned[a].loss.total_cmp(&tuned[b].loss))
 }

@@ -113,9 +113,8 @@ fn key_point(
         return Err(wrong("not a finite number; label it again".into()));
     }
     let [w, h] = size.map(f64::from);
-    let inside = |x: f64, limit: f64| {
-        (-OUTSIDE_TOLERANCE_PX..=limit + OUTSIDE_TOLERANCE_PX).contains(&x)
-    };
+    let inside =
+        |x: f64, limit: f64| (-OUTSIDE_TOLERANCE_PX..=limit + OUTSIDE_TOLERANCE_PX).contains(&x);
     if !inside(u, w) || !inside(v, h) {
         return Err(wrong(format!("({u:.1}, {v:.1}) px lies outside the {w} x {h} picture")));
     }

@@ -14,6 +14,7 @@
 //! own the table's format (the core crate's `lane` module does) nor anything that runs
 //! beside the camera.
 
+pub mod calibration;
 pub mod camera;
 pub mod candidates;
 pub mod cmaes;
@@ -21,11 +22,16 @@ pub mod epnp;
 pub mod error;
 pub mod fine_tuning;
 pub mod labelme;
+pub mod lane_axis;
+pub mod lane_table;
 pub mod loss;
+pub mod marks;
 pub mod model_matching;
-pub mod mvcalib;
+pub mod output;
 pub mod pose_refinement;
 pub mod problem;
+pub mod stages;
+pub mod trust;
 pub mod validation;
 pub mod vehicle;
 

@@ -7,7 +7,7 @@ use crate::camera::Pose;
 use crate::candidates::Candidate;
 use crate::cmaes::{self, Outcome, Parameters, Point, Termination};
 use crate::loss::{Form, pack, projection_loss, unpack};
-use crate::problem::{FocalPrior, Problem};
+use crate::problem::Problem;
 use rayon::prelude::*;
 
 /// A candidate after its own search over focal length and pose.
@@ -29,11 +29,12 @@ pub struct Matched {
     pub termination: Termination,
 }
 
-/// How the two CMA-ES stages search. Steps are first standard deviations; bounds are
-/// absolute, never a multiple of the start (a component that starts near 0 would freeze).
+/// How the two CMA-ES stages search.
 #[derive(Clone, Copy, Debug)]
 pub struct Search {
-    /// Bounds of the focal length, px.
+    /// What limits the parameters.
+    pub bounds: Bounds,
+    /// Bounds of the focal length, px, where `bounds` is absolute.
     pub focal: [f64; 2],
     /// Most evaluations of each search.
     pub budget: usize,
@@ -41,6 +42,17 @@ pub struct Search {
     pub stop_early: bool,
     /// Seed of all searches.
     pub seed: u64,
+}
+
+/// What limits the parameters of a search.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bounds {
+    /// Fixed limits, the same from every start.
+    Absolute,
+    /// The authors' program: 30 % to either side of each component of the start. A
+    /// component that starts near 0 is frozen there. Kept because the published numbers
+    /// depend on it.
+    Authors,
 }
 
 /// First standard deviation of the rotation vector, rad.
@@ -53,10 +65,22 @@ const FOCAL_STEP: f64 = 0.1;
 const ROTATION_BOUND: f64 = 2.0 * std::f64::consts::PI;
 /// No camera looks at a car further away than this, m.
 const TRANSLATION_BOUND_M: f64 = 500.0;
+/// The authors' bounds as a part of each component of the start.
+const AUTHORS_BOUND: f64 = 0.3;
+/// The authors' first standard deviation as a part of half the range between the bounds
+/// (nevergrad's default for a bounded scalar is a sixth of the range).
+const AUTHORS_STEP: f64 = 1.0 / 3.0;
 
 impl Search {
     /// The search from one start, in its own stream of random numbers.
     pub fn parameters(&self, start: Point, stream: u64) -> Parameters {
+        let Search { budget, stop_early, seed, .. } = *self;
+        if self.bounds == Bounds::Authors {
+            let half = start.abs() * AUTHORS_BOUND;
+            let (lower, upper) = (start - half, start + half);
+            let step = half * AUTHORS_STEP;
+            return Parameters { start, step, lower, upper, budget, stop_early, seed, stream };
+        }
         let distance = start.fixed_rows::<3>(3).norm();
         let (r, t) = (ROTATION_STEP, TRANSLATION_STEP * distance);
         let (rb, tb) = (ROTATION_BOUND, TRANSLATION_BOUND_M);
@@ -67,23 +91,11 @@ impl Search {
             step: Point::from([r, r, r, t, t, t, FOCAL_STEP * start[6]]),
             lower: Point::from([-rb, -rb, -rb, -tb, -tb, 0.0, self.focal[0]]),
             upper: Point::from([rb, rb, rb, tb, tb, tb, self.focal[1]]),
-            budget: self.budget,
-            stop_early: self.stop_early,
-            seed: self.seed,
+            budget,
+            stop_early,
+            seed,
             stream,
         }
-    }
-}
-
-impl Search {
-    /// The second stage's search within a focal prior.
-    pub fn matching(prior: &FocalPrior, budget: usize, seed: u64) -> Self {
-        Search { focal: prior.matching, budget, stop_early: true, seed }
-    }
-
-    /// The third stage's search within a focal prior.
-    pub fn tuning(prior: &FocalPrior, budget: usize, seed: u64) -> Self {
-        Search { focal: prior.tuning, budget, stop_early: true, seed }
     }
 }
 

@@ -66,10 +66,16 @@ fn sides(vehicle: &Vehicle) -> Vec<((u8, u8), Vector2<f64>)> {
 fn check_sides(vehicle: &Vehicle) -> Result<()> {
     let sides = sides(vehicle);
     for (i, &((first, second), across)) in sides.iter().enumerate() {
-        let against = sides.iter().enumerate().filter(|&(j, (_, o))| j != i && o.dot(&across) < 0.0);
+        let against =
+            sides.iter().enumerate().filter(|&(j, (_, o))| j != i && o.dot(&across) < 0.0);
         if sides.len() > 1 && 2 * against.count() > sides.len() - 1 {
             let reason = "the other left-right pairs of this vehicle point the other way".into();
-            return Err(Error::SwappedLabels { vehicle: vehicle.name.clone(), first, second, reason });
+            return Err(Error::SwappedLabels {
+                vehicle: vehicle.name.clone(),
+                first,
+                second,
+                reason,
+            });
         }
     }
     Ok(())
@@ -87,7 +93,12 @@ fn check_mirror_image(vehicle: &Vehicle) -> Result<()> {
     // Image v points down, so a right-handed turn has a negative cross product.
     if across.perp(&backwards) > 0.0 {
         let reason = "the vehicle is a mirror image of a car on the road; so are 5 and 6".into();
-        return Err(Error::SwappedLabels { vehicle: vehicle.name.clone(), first: 1, second: 2, reason });
+        return Err(Error::SwappedLabels {
+            vehicle: vehicle.name.clone(),
+            first: 1,
+            second: 2,
+            reason,
+        });
     }
     Ok(())
 }

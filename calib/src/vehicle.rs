@@ -120,7 +120,9 @@ fn check_model(model: VehicleModel) -> Result<VehicleModel> {
         model.points.iter().zip(1..).find_map(|(p, label)| {
             let p = (*p)?;
             let sane = p.iter().all(|c| c.is_finite() && c.abs() < 30.0) && p.z >= 0.0;
-            (!sane).then(|| format!("point {label} at {:?} is not a place on a vehicle (m)", p.data.0[0]))
+            (!sane).then(|| {
+                format!("point {label} at {:?} is not a place on a vehicle (m)", p.data.0[0])
+            })
         })
     };
     match problem {

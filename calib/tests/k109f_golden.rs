@@ -5,7 +5,7 @@ mod k109f;
 
 use mvcalib::camera::Pose;
 use mvcalib::loss::{FineTuningLoss, Form, Weights, pack};
-use mvcalib::mvcalib::{Settings, calibrate};
+use mvcalib::stages::{Settings, calibrate};
 
 fn published_loss(form: Form, alpha: f64) -> f64 {
     let problem = k109f::problem();
@@ -20,11 +20,8 @@ fn published_loss(form: Form, alpha: f64) -> f64 {
             problem.pairs(i, model)
         })
         .collect();
-    let loss = FineTuningLoss::new(
-        &vehicles,
-        problem.lens(1.0).centre,
-        Weights { form, alpha, tau: 0.0 },
-    );
+    let loss =
+        FineTuningLoss::new(&vehicles, problem.lens(1.0).centre, Weights { form, alpha, tau: 0.0 });
     let best = &published.fine_tuned;
     let pose = Pose::from_vectors(best.rvec.into(), best.tvec.into());
     loss.evaluate(0, &pack(&pose, best.f))
@@ -47,14 +44,18 @@ fn the_papers_form_stands_beside_it() {
     assert!(at_1 > 21.0 * published_loss(Form::Authors, 1.0), "{at_1}");
 }
 
-/// Converged focal lengths over seeds in the authors' form.
+/// Converged focal lengths over seeds in the authors' form, with their bounds. At their
+/// budget of 4,000 the second stage has not converged and vehicle_01 wavers between two
+/// models (0.5887 and 0.5885 px); 50,000 is where every search has stopped by itself.
 fn focal_lengths(alpha: f64) -> Vec<f64> {
     let problem = k109f::problem();
     (0..10)
         .map(|seed| {
-            let mut settings = Settings::paper(problem.width_px());
-            settings.weights = Weights { form: Form::Authors, alpha, tau: 0.0 };
-            settings.seed = seed;
+            let settings = Settings {
+                matching_budget: 50_000,
+                seed,
+                ..Settings::authors(problem.width_px(), alpha)
+            };
             calibrate(&problem, &settings, &|_| ()).unwrap().camera(&problem).lens.f
         })
         .collect()

@@ -7,7 +7,7 @@ use crate::candidates::{self, Candidate, Strategy};
 use crate::error::{Error, Result};
 use crate::fine_tuning;
 use crate::loss::{Form, Weights, pack};
-use crate::model_matching::{self, Matched, Search};
+use crate::model_matching::{self, Bounds, Matched, Search};
 use crate::problem::{FocalPrior, Problem};
 
 /// Everything that MVCalib can be told.
@@ -21,6 +21,8 @@ pub struct Settings {
     pub matching_budget: usize,
     /// Most evaluations of each search of stage 3; the paper uses 20,000.
     pub tuning_budget: usize,
+    /// What limits the searches.
+    pub bounds: Bounds,
     /// Stop a search before its budget once converged.
     pub stop_early: bool,
     /// Seed of every random choice.
@@ -36,9 +38,21 @@ impl Settings {
             weights: Weights { form: Form::Paper, alpha: 6.0, tau: 0.0 },
             matching_budget: 4_000,
             tuning_budget: 20_000,
+            bounds: Bounds::Absolute,
             stop_early: true,
             seed: 0,
         }
+    }
+
+    /// The authors' program: its form of the losses and its bounds, with this alpha.
+    pub fn authors(width_px: f64, alpha: f64) -> Self {
+        let weights = Weights { form: Form::Authors, alpha, tau: 0.0 };
+        Settings { weights, bounds: Bounds::Authors, ..Settings::paper(width_px) }
+    }
+
+    fn search(&self, focal: [f64; 2], budget: usize) -> Search {
+        let Settings { bounds, stop_early, seed, .. } = *self;
+        Search { bounds, focal, budget, stop_early, seed }
     }
 
     fn strategy(&self) -> Strategy {
@@ -125,19 +139,18 @@ pub fn calibrate(
     settings: &Settings,
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Stages> {
-    let Settings { focal, weights, seed, stop_early, .. } = *settings;
+    let Settings { focal, weights, seed, .. } = *settings;
     let candidates = candidates::generate(problem, focal.start, settings.strategy(), seed)?;
     progress(Step::Candidates);
 
-    let search =
-        Search { stop_early, ..Search::matching(&focal, settings.matching_budget, seed) };
+    let search = settings.search(focal.matching, settings.matching_budget);
     let searches = candidates.len();
     let refined = model_matching::refine(problem, &candidates, weights.form, &search, &|| {
         progress(Step::Matching(searches));
     });
     let matched = model_matching::best_of_each(&refined);
 
-    let search = Search { stop_early, ..Search::tuning(&focal, settings.tuning_budget, seed) };
+    let search = settings.search(focal.tuning, settings.tuning_budget);
     let tuned = fine_tuning::tune(problem, &matched, weights, &search, &|| {
         progress(Step::Tuning(matched.len()));
     });
@@ -147,6 +160,5 @@ pub fn calibrate(
                  or start at another focal length"
             .into(),
     })?;
-    let best = tuned.iter().position(|t| std::ptr::eq(t, best)).unwrap_or(0);
     Ok(Stages { candidates, refined, matched, tuned, best })
 }

@@ -203,7 +203,7 @@ impl Calibration {
 
     fn problem(&self) -> Option<String> {
         let finite = self.rvec.iter().chain(&self.tvec).all(|x| x.is_finite());
-        if !finite || !(self.f > 0.0 && self.f.is_finite()) || !self.k1.is_finite() {
+        if !finite || self.f <= 0.0 || !self.f.is_finite() || !self.k1.is_finite() {
             return Some("f, rvec, tvec or k1 is not a usable number".into());
         }
         if self.image_size.is_some_and(|s| s.contains(&0)) {

@@ -31,11 +31,11 @@ impl Lens {
     /// The image point (px) of a point in camera coordinates (m), or `None` when it
     /// is not in front of the camera.
     pub fn project(&self, p_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
-        if !(p_cam.z > MIN_DEPTH_M) {
-            return None;
-        }
-        let xy = p_cam.xy() / p_cam.z;
-        Some(self.centre + xy * (self.f * (1.0 + self.k1 * xy.norm_squared())))
+        // Written so that NaN is not in front either.
+        (p_cam.z > MIN_DEPTH_M).then(|| {
+            let xy = p_cam.xy() / p_cam.z;
+            self.centre + xy * (self.f * (1.0 + self.k1 * xy.norm_squared()))
+        })
     }
 
     /// The direction (x, y, 1) in camera coordinates that is seen at an image point.

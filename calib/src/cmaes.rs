@@ -220,7 +220,7 @@ pub fn minimise(parameters: &Parameters, mut loss: impl FnMut(&Point) -> f64) ->
         }
         state.update(&constants, &std::array::from_fn(|i| ranked[i].1));
         let condition =
-            if state.generation % DECOMPOSE_EVERY == 0 { state.decompose() } else { 1.0 };
+            if state.generation.is_multiple_of(DECOMPOSE_EVERY) { state.decompose() } else { 1.0 };
 
         history[state.generation % HISTORY] = ranked[0].0;
         let reason = if condition > MAX_CONDITION {

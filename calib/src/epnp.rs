@@ -82,7 +82,7 @@ impl ControlPoints {
         let mut order = [0, 1, 2];
         order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
         let value = |k: usize| eigen.eigenvalues[order[k]].max(0.0);
-        if !(value(1) > LINEAR_RATIO * value(0)) {
+        if value(1) <= LINEAR_RATIO * value(0) {
             return None;
         }
         let axes = if value(2) > PLANAR_RATIO * value(0) { 3 } else { 2 };
@@ -180,7 +180,7 @@ fn initial_betas(
     let rho = DVector::from_column_slice(distances);
     let solution = l.svd(true, true).solve(&rho, 1e-12).ok()?;
     let first = solution[0].abs().sqrt();
-    if !(first > 0.0) {
+    if first <= 0.0 {
         return None;
     }
     let sign = if solution[0] < 0.0 { -1.0 } else { 1.0 };

@@ -124,9 +124,12 @@ impl LaneAxis {
     }
 }
 
+/// Left and right side of a lane.
+type Sides = (Vec<Vector2<f64>>, Vec<Vector2<f64>>);
+
 /// The two long sides of a polygon, running the same way. Of all pairs of edges taken as
 /// the ends, the right one leaves two sides that stay closest to each other.
-fn sides(polygon: &[Vector2<f64>]) -> Option<(Vec<Vector2<f64>>, Vec<Vector2<f64>>)> {
+fn sides(polygon: &[Vector2<f64>]) -> Option<Sides> {
     let n = polygon.len();
     let mut best: Option<(f64, _)> = None;
     for i in 0..n {

@@ -140,7 +140,8 @@ fn name(text: &str) -> Name {
 /// What stands in every cell, in row order.
 fn cells(camera: &Camera, lanes: &[DrawnLane]) -> Result<Vec<Option<Place>>> {
     let [width, height] = camera.image_size.map(|px| px as usize);
-    let rows: Vec<(Vec<Option<Place>>, Vec<(usize, usize)>)> = (0..height)
+    type Row = (Vec<Option<Place>>, Vec<(usize, usize)>);
+    let rows: Vec<Row> = (0..height)
         .into_par_iter()
         .map(|v| {
             let mut overlaps = Vec::new();

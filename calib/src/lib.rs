@@ -26,6 +26,7 @@ pub mod lane_axis;
 pub mod lane_table;
 pub mod loss;
 pub mod marks;
+pub mod methods;
 pub mod model_matching;
 pub mod output;
 pub mod pose_refinement;

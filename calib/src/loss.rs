@@ -146,7 +146,7 @@ impl FineTuningLoss {
             nearest = nearest.min(steps);
             (x[k], y[k]) = (px, py);
         }
-        if !(nearest > 0.0) {
+        if nearest <= 0.0 {
             return (f64::INFINITY, Vector3::zeros());
         }
         let m = target.pairs.len().min(MAX_PAIRS);

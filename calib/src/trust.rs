@@ -47,10 +47,10 @@ pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence) -> Strin
         return format!("the focal length {:.0} px ended at its bound", camera.lens.f);
     }
     let limit_px = MAX_MISFIT_WIDTH_FRACTION * problem.width_px();
-    if let Some(misfit) = evidence.misfit_px.filter(|m| !(*m <= limit_px)) {
+    if let Some(misfit) = evidence.misfit_px.filter(|m| m.is_nan() || *m > limit_px) {
         return format!("key points miss their fit by {misfit:.1} px (limit {limit_px:.1} px)");
     }
-    if let Some(rel_err) = evidence.rel_err.filter(|e| !(*e <= MAX_REL_ERR)) {
+    if let Some(rel_err) = evidence.rel_err.filter(|e| e.is_nan() || *e > MAX_REL_ERR) {
         return format!(
             "lengths are uncertain by {:.0} % (limit {:.0} %)",
             100.0 * rel_err,

@@ -1,0 +1,76 @@
+//! The commands of `mvcalib`.
+//!
+//! Owns their arguments and the order in which files are read and written. Does not own
+//! the work.
+
+mod calibrate;
+mod table;
+mod verify;
+
+use clap::{Parser, Subcommand};
+use mvcalib::calibration::Calibration;
+use mvcalib::error::{Error, Result};
+use std::path::PathBuf;
+
+/// Calibrates a traffic camera from labelled vehicles and makes its lane table.
+#[derive(Debug, Parser)]
+#[command(name = "mvcalib", version)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Estimate focal length and pose from labelled vehicles.
+    Calibrate(calibrate::Arguments),
+    /// Measure a calibration against marks of known length.
+    Verify(verify::Arguments),
+    /// Make the lane table from a calibration and lane polygons.
+    Table(table::Arguments),
+}
+
+/// Runs one command.
+pub fn run(command: Command) -> Result<()> {
+    match command {
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Verify(arguments) => verify::run(&arguments),
+        Command::Table(arguments) => table::run(&arguments),
+    }
+}
+
+/// The calibration file that a command reads.
+#[derive(Debug, clap::Args)]
+pub struct CalibrationFile {
+    /// Calibration file written by `mvcalib calibrate`.
+    #[arg(long)]
+    calibration: PathBuf,
+    /// Picture size, where the file has none.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = image_size)]
+    image_size: Option<[u32; 2]>,
+}
+
+impl CalibrationFile {
+    fn read(&self) -> Result<Calibration> {
+        Calibration::read(&self.calibration, self.image_size)
+    }
+
+    /// The file's bytes, for its hash.
+    fn bytes(&self) -> Result<Vec<u8>> {
+        std::fs::read(&self.calibration)
+            .map_err(|source| Error::Read { path: self.calibration.clone(), source })
+    }
+}
+
+fn image_size(text: &str) -> std::result::Result<[u32; 2], String> {
+    let sides = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    sides.filter(|s: &[u32; 2]| !s.contains(&0)).ok_or_else(|| "give it as 320x240".into())
+}
+
+/// Writes a line to standard output; a reader that has gone is not an error.
+fn print(text: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stdout(), "{text}");
+}

@@ -1,0 +1,199 @@
+//! Labels in labelme's JSON: key points of vehicles, lane polygons, lane lines.
+//!
+//! Owns reading and the first checks of the files. Does not own what the shapes mean
+//! to a solver, nor whether a vehicle can be posed (see `validation`).
+
+use crate::error::{Error, Result};
+use crate::vehicle::{KEY_POINT_COUNT, KeyPoint, Vehicle};
+use nalgebra::Vector2;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// One labelme file, as far as it is used here.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct LabelFile {
+    /// Width of the labelled picture, px.
+    pub image_width: u32,
+    /// Height of the labelled picture, px.
+    pub image_height: u32,
+    /// The shapes, in file order.
+    pub shapes: Vec<Shape>,
+}
+
+/// One labelme shape.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Shape {
+    /// The label as written.
+    pub label: String,
+    /// Vertices (u, v), px.
+    pub points: Vec<[f64; 2]>,
+    /// `point`, `polygon`, `linestrip`, `line`, ...
+    #[serde(default)]
+    pub shape_type: String,
+    /// Which shapes belong together, for several vehicles in one file.
+    #[serde(default)]
+    pub group_id: Option<i64>,
+    /// Marks set by the person who labelled, such as `toward`.
+    #[serde(default)]
+    pub flags: BTreeMap<String, bool>,
+}
+
+impl LabelFile {
+    /// Reads one file.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        serde_json::from_str(&text)
+            .map_err(|e| Error::Json { path: path.to_owned(), detail: e.to_string() })
+    }
+
+    /// Width and height of the picture, px.
+    pub fn image_size(&self) -> [u32; 2] {
+        [self.image_width, self.image_height]
+    }
+
+    /// The vehicles of this file: its point shapes, grouped by `group_id`.
+    pub fn vehicles(&self, stem: &str) -> Result<Vec<Vehicle>> {
+        let mut groups: BTreeMap<Option<i64>, Vec<KeyPoint>> = BTreeMap::new();
+        for shape in self.shapes.iter().filter(|s| matches!(s.shape_type.as_str(), "point" | "")) {
+            let points = groups.entry(shape.group_id).or_default();
+            let vehicle = vehicle_name(stem, shape.group_id);
+            points.push(key_point(&vehicle, shape, self.image_size(), points)?);
+        }
+        Ok(groups
+            .into_iter()
+            .map(|(group, mut points)| {
+                points.sort_by_key(|p| p.label);
+                Vehicle { name: vehicle_name(stem, group), points }
+            })
+            .collect())
+    }
+
+    /// The open lines (`linestrip` or `line`) of this file, px.
+    pub fn lines(&self) -> Vec<Vec<Vector2<f64>>> {
+        self.shapes
+            .iter()
+            .filter(|s| matches!(s.shape_type.as_str(), "linestrip" | "line"))
+            .map(|s| s.points.iter().map(|&p| Vector2::from(p)).collect())
+            .collect()
+    }
+}
+
+fn vehicle_name(stem: &str, group: Option<i64>) -> String {
+    group.map_or_else(|| stem.to_owned(), |g| format!("{stem}#{g}"))
+}
+
+/// How far outside the picture a label may lie, px: a corner hidden by the border.
+const OUTSIDE_TOLERANCE_PX: f64 = 1.0;
+
+fn key_point(
+    vehicle: &str,
+    shape: &Shape,
+    size: [u32; 2],
+    others: &[KeyPoint],
+) -> Result<KeyPoint> {
+    let wrong = |problem: String| Error::KeyPoint {
+        vehicle: vehicle.to_owned(),
+        label: shape.label.clone(),
+        problem,
+    };
+    let label = shape
+        .label
+        .trim()
+        .parse::<u8>()
+        .ok()
+        .filter(|l| (1..=KEY_POINT_COUNT).contains(&usize::from(*l)))
+        .ok_or_else(|| wrong(format!("not a key point; labels are 1 to {KEY_POINT_COUNT}")))?;
+    let [[u, v]] = shape.points[..] else {
+        return Err(wrong(format!("{} coordinates, a point has one", shape.points.len())));
+    };
+    if !u.is_finite() || !v.is_finite() {
+        return Err(wrong("not a finite number; label it again".into()));
+    }
+    let [w, h] = size.map(f64::from);
+    let inside =
+        |x: f64, limit: f64| (-OUTSIDE_TOLERANCE_PX..=limit + OUTSIDE_TOLERANCE_PX).contains(&x);
+    if !inside(u, w) || !inside(v, h) {
+        return Err(wrong(format!("({u:.1}, {v:.1}) px lies outside the {w} x {h} picture")));
+    }
+    if others.iter().any(|p| p.label == label) {
+        return Err(wrong(
+            "labelled twice; give each vehicle of a picture its own file or group_id".into(),
+        ));
+    }
+    Ok(KeyPoint { label, uv: Vector2::new(u, v) })
+}
+
+/// Reads every `*.json` of a folder in the order of the names: the vehicles and the one
+/// picture size they share.
+pub fn read_vehicles(folder: &Path) -> Result<(Vec<Vehicle>, [u32; 2])> {
+    let mut vehicles = Vec::new();
+    let mut size = None;
+    for path in json_files(folder)? {
+        let file = LabelFile::read(&path)?;
+        let expected = *size.get_or_insert(file.image_size());
+        if file.image_size() != expected {
+            let what = path.display().to_string();
+            return Err(Error::ImageSize { what, actual: file.image_size(), expected });
+        }
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        vehicles.extend(file.vehicles(&stem)?);
+    }
+    match size {
+        Some(size) if !vehicles.is_empty() => Ok((vehicles, size)),
+        _ => Err(Error::EmptyFolder { path: folder.to_owned(), wanted: "labelled vehicle" }),
+    }
+}
+
+fn json_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let read = |source| Error::Read { path: folder.to_owned(), source };
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(read)? {
+        let path = entry.map_err(read)?.path();
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+            paths.push(path);
+        }
+    }
+    paths.sort();
+    if paths.is_empty() {
+        return Err(Error::EmptyFolder { path: folder.to_owned(), wanted: "label file (*.json)" });
+    }
+    Ok(paths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(shapes: &str) -> LabelFile {
+        let text = format!(r#"{{"imageWidth":320,"imageHeight":240,"shapes":[{shapes}]}}"#);
+        serde_json::from_str(&text).unwrap()
+    }
+
+    #[test]
+    fn groups_become_vehicles() {
+        let f = file(
+            r#"{"label":"2","points":[[3,4]],"group_id":1,"shape_type":"point"},
+               {"label":"1","points":[[1,2]],"group_id":1,"shape_type":"point"},
+               {"label":"1","points":[[5,6]],"group_id":2,"shape_type":"point"}"#,
+        );
+        let v = f.vehicles("frame").unwrap();
+        assert_eq!(v.iter().map(|v| v.name.as_str()).collect::<Vec<_>>(), ["frame#1", "frame#2"]);
+        assert_eq!(v[0].points[0], KeyPoint { label: 1, uv: Vector2::new(1.0, 2.0) });
+    }
+
+    #[test]
+    fn bad_labels_name_vehicle_and_point() {
+        for (shapes, expected) in [
+            (r#"{"label":"wheel","points":[[1,1]]}"#, "not a key point"),
+            (r#"{"label":"3","points":[[1,1]]},{"label":"3","points":[[2,2]]}"#, "labelled twice"),
+            (r#"{"label":"3","points":[[900,1]]}"#, "outside"),
+            (r#"{"label":"3","points":[[1,1],[2,2]]}"#, "2 coordinates"),
+        ] {
+            let message = file(shapes).vehicles("car_7").unwrap_err().to_string();
+            assert!(message.contains("car_7") && message.contains(expected), "{message}");
+        }
+    }
+}

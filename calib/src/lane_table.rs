@@ -1,0 +1,287 @@
+//! The lane table of a calibrated camera: for every pixel its lane and place along it.
+//!
+//! Owns reading lane polygons and filling the cells. Does not own the file's format (the
+//! core crate's `lane` module) nor the centre lines (see `lane_axis`).
+
+use crate::calibration::Calibration;
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::labelme::{LabelFile, Shape};
+use crate::lane_axis::LaneAxis;
+use nalgebra::Vector2;
+use rayon::prelude::*;
+use verge::lane::{Description, Lane, LaneTableError, MAX_LANE_LENGTH_M, Name, Place};
+use verge::units::{Direction, ImageSize, LaneId, MAX_LANES};
+
+/// Part of a lane's cells that another lane may claim too: hand-drawn borders cross by a
+/// pixel here and there.
+const OVERLAP_FRACTION: f64 = 0.02;
+/// Cells that two lanes may share whatever their size.
+const OVERLAP_CELLS: usize = 8;
+
+/// A lane as drawn and as it lies on the road.
+#[derive(Clone, Debug)]
+pub struct DrawnLane {
+    /// Its number.
+    pub id: LaneId,
+    /// Which way its traffic moves.
+    pub direction: Direction,
+    /// Its outline, px.
+    pub polygon: Vec<Vector2<f64>>,
+    /// Its centre line on the road.
+    pub axis: LaneAxis,
+}
+
+/// Reads the polygons of a labelme file as lanes of a camera, by rising number.
+///
+/// A lane's number is the integer at the end of its label (`1`, `lane 1`, `lane_1`); the
+/// flags `toward` and `away` say which way its traffic moves.
+pub fn lanes(file: &LabelFile, what: &str, camera: &Camera) -> Result<Vec<DrawnLane>> {
+    if file.image_size() != camera.image_size {
+        return Err(Error::ImageSize {
+            what: what.to_owned(),
+            actual: file.image_size(),
+            expected: camera.image_size,
+        });
+    }
+    let mut lanes: Vec<DrawnLane> = Vec::new();
+    for shape in file.shapes.iter().filter(|s| s.shape_type == "polygon") {
+        let lane = lane(shape, camera)?;
+        if lanes.iter().any(|l| l.id == lane.id) {
+            let problem = "is drawn twice; give each polygon its own number".into();
+            return Err(Error::Lane { lane: shape.label.clone(), problem });
+        }
+        lanes.push(lane);
+    }
+    if lanes.is_empty() {
+        let problem = format!("{what} holds no polygon; draw one for each lane");
+        return Err(Error::Lane { lane: "(none)".into(), problem });
+    }
+    lanes.sort_by_key(|l| l.id);
+    Ok(lanes)
+}
+
+fn lane(shape: &Shape, camera: &Camera) -> Result<DrawnLane> {
+    let wrong = |problem: String| Error::Lane { lane: shape.label.clone(), problem };
+    let digits = shape.label.trim_end().rsplit(|c: char| !c.is_ascii_digit()).next();
+    let id = digits.and_then(|d| d.parse().ok()).and_then(LaneId::new).ok_or_else(|| {
+        wrong(format!("no lane number at the end of the label; lanes are 1 to {MAX_LANES}"))
+    })?;
+    let flag = |name: &str| shape.flags.get(name).copied().unwrap_or(false);
+    let direction = match (flag("toward"), flag("away")) {
+        (true, true) => return Err(wrong("both toward and away are set".into())),
+        (true, false) => Direction::Toward,
+        (false, true) => Direction::Away,
+        (false, false) => Direction::Unknown,
+    };
+    let polygon: Vec<Vector2<f64>> = shape.points.iter().map(|&p| p.into()).collect();
+    if !polygon.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
+        return Err(wrong("a corner is not a finite number".into()));
+    }
+    let axis = LaneAxis::of_polygon(&shape.label, &polygon, direction, camera)?;
+    let length = axis.length_m();
+    if length > f64::from(MAX_LANE_LENGTH_M) {
+        return Err(wrong(format!(
+            "it would be {length:.0} m long, a table holds {MAX_LANE_LENGTH_M} m; \
+             end the polygon further below the horizon"
+        )));
+    }
+    Ok(DrawnLane { id, direction, polygon, axis })
+}
+
+/// The bytes of a lane table.
+///
+/// `sha256` is the hash of the calibration file, `fallback_id` names the camera where the
+/// calibration does not.
+pub fn table(
+    calibration: &Calibration,
+    lanes: &[DrawnLane],
+    sha256: [u8; 32],
+    fallback_id: &str,
+) -> Result<Vec<u8>> {
+    let camera = calibration.camera();
+    let cells = cells(&camera, lanes)?;
+    let [width, height] = camera.image_size;
+    let side = |px: u32| {
+        u16::try_from(px)
+            .map_err(|_| Error::Usage(format!("a picture side of {px} px is too long")))
+    };
+    let image_size = ImageSize { width: side(width)?, height: side(height)? };
+    let described = |l: &DrawnLane| Lane {
+        id: l.id,
+        direction: l.direction,
+        length_m: l.axis.length_m() as f32,
+    };
+    let hash: String = sha256[..4].iter().map(|b| format!("{b:02x}")).collect();
+    let description = Description {
+        camera_id: name(calibration.camera_id.as_deref().unwrap_or(fallback_id)),
+        image_size,
+        lanes: lanes.iter().map(described).collect(),
+        length_rel_err: calibration.rel_err.map(|e| e as f32),
+        calibration_id: name(&format!("{}-{hash}", calibration.method)),
+        calibration_sha256: sha256,
+    };
+    let mut bytes = vec![0; verge::lane::encoded_len(&description)];
+    let at = |u: u16, v: u16| cells[usize::from(v) * width as usize + usize::from(u)];
+    let refused = |e: LaneTableError| Error::Solver { method: "lane table", detail: e.to_string() };
+    let length = verge::lane::encode(&description, at, &mut bytes).map_err(refused)?;
+    bytes.truncate(length);
+    Ok(bytes)
+}
+
+/// A name cut to the length that a table holds.
+fn name(text: &str) -> Name {
+    let mut name = Name::new();
+    // Stops at the first character that does not fit: a name is for people.
+    let _ = text.chars().try_for_each(|c| name.push(c));
+    name
+}
+
+/// What stands in every cell, in row order.
+fn cells(camera: &Camera, lanes: &[DrawnLane]) -> Result<Vec<Option<Place>>> {
+    let [width, height] = camera.image_size.map(|px| px as usize);
+    type Row = (Vec<Option<Place>>, Vec<(usize, usize)>);
+    let rows: Vec<Row> = (0..height)
+        .into_par_iter()
+        .map(|v| {
+            let mut overlaps = Vec::new();
+            let row = (0..width)
+                .map(|u| {
+                    let uv = Vector2::new(u as f64 + 0.5, v as f64 + 0.5);
+                    let mut inside = (0..lanes.len()).filter(|&k| contains(&lanes[k].polygon, uv));
+                    let first = inside.next()?;
+                    overlaps.extend(inside.map(|other| (first, other)));
+                    place(camera, &lanes[first], uv)
+                })
+                .collect();
+            (row, overlaps)
+        })
+        .collect();
+    let overlaps: Vec<(usize, usize)> = rows.iter().flat_map(|(_, o)| o).copied().collect();
+    let cells: Vec<Option<Place>> = rows.into_iter().flat_map(|(row, _)| row).collect();
+    check_overlaps(lanes, &cells, &overlaps)?;
+    Ok(cells)
+}
+
+fn place(camera: &Camera, lane: &DrawnLane, uv: Vector2<f64>) -> Option<Place> {
+    let p = camera.back_project(&uv, 0.0)?.xy();
+    let station = lane.axis.station(p);
+    let span_m = LaneAxis::span_m(camera, p, station.tangent) as f32;
+    Some(Place { lane: lane.id, s_m: station.s_m as f32, span_m })
+}
+
+fn check_overlaps(
+    lanes: &[DrawnLane],
+    cells: &[Option<Place>],
+    overlaps: &[(usize, usize)],
+) -> Result<()> {
+    for (k, lane) in lanes.iter().enumerate() {
+        let own = cells.iter().flatten().filter(|p| p.lane == lane.id).count();
+        if own == 0 {
+            let problem = "covers no pixel centre of the picture; draw it larger".into();
+            return Err(Error::Lane { lane: lane.id.get().to_string(), problem });
+        }
+        let limit = OVERLAP_CELLS.max((OVERLAP_FRACTION * own as f64) as usize);
+        for (o, other) in lanes.iter().enumerate().skip(k + 1) {
+            let shared = overlaps.iter().filter(|&&pair| pair == (k, o)).count();
+            if shared > limit {
+                let other = other.id.get();
+                let problem = format!(
+                    "overlaps lane {other} in {shared} pixels (limit {limit}); draw the border once"
+                );
+                return Err(Error::Lane { lane: lane.id.get().to_string(), problem });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Whether a point lies inside a polygon (even-odd rule).
+fn contains(polygon: &[Vector2<f64>], p: Vector2<f64>) -> bool {
+    let mut inside = false;
+    let mut previous = polygon[polygon.len() - 1];
+    for &corner in polygon {
+        let crosses = (corner.y > p.y) != (previous.y > p.y);
+        if crosses {
+            let t = (p.y - corner.y) / (previous.y - corner.y);
+            inside ^= p.x < corner.x + t * (previous.x - corner.x);
+        }
+        previous = corner;
+    }
+    inside
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lane_axis::tests::{camera, picture};
+    use verge::lane::LaneTable;
+    use verge::units::ImagePoint;
+
+    fn file(lanes: &[(&str, &str, [[f64; 2]; 4])]) -> LabelFile {
+        let camera = camera();
+        let shapes: Vec<String> = lanes
+            .iter()
+            .map(|(label, flags, ground)| {
+                let points: Vec<_> =
+                    picture(&camera, ground).iter().map(|p| format!("[{},{}]", p.x, p.y)).collect();
+                let points = points.join(",");
+                format!(r#"{{"label":"{label}","shape_type":"polygon","flags":{{{flags}}},"points":[{points}]}}"#)
+            })
+            .collect();
+        let shapes = shapes.join(",");
+        let text = format!(r#"{{"imageWidth":320,"imageHeight":240,"shapes":[{shapes}]}}"#);
+        serde_json::from_str(&text).unwrap()
+    }
+
+    const NEAR: [[f64; 2]; 4] = [[-3.2, 25.0], [-0.1, 25.0], [-0.1, 75.0], [-3.2, 75.0]];
+    const FAR: [[f64; 2]; 4] = [[0.1, 25.0], [3.2, 25.0], [3.2, 65.0], [0.1, 65.0]];
+
+    #[test]
+    fn a_table_says_where_each_pixel_lies() {
+        let camera = camera();
+        let file = file(&[("lane_2", r#""toward":true"#, FAR), ("1", "", NEAR)]);
+        let lanes = lanes(&file, "lanes.json", &camera).unwrap();
+        let mut calibration = Calibration::of_camera(&camera, "joint");
+        calibration.rel_err = Some(0.057);
+        let bytes = table(&calibration, &lanes, [7; 32], "camera").unwrap();
+        let table = LaneTable::parse(&bytes[..]).unwrap();
+        let description = table.description();
+        assert_eq!(description.lanes.len(), 2);
+        assert!((description.lanes[1].length_m - 40.0).abs() < 1e-3);
+        assert_eq!(description.length_rel_err, Some(0.057));
+        assert_eq!(description.calibration_id.as_str(), "joint-07070707");
+        for (x, y, lane, s) in [(-1.6, 45.0, 1, 20.0), (1.6, 45.0, 2, 20.0), (1.6, 60.0, 2, 5.0)] {
+            let uv = camera.project(&nalgebra::Vector3::new(x, y, 0.0)).unwrap();
+            let place =
+                table.place(ImagePoint { u: uv.x as f32, v: uv.y as f32 }).expect("on a lane");
+            assert_eq!(place.lane.get(), lane);
+            // The cell stands for its centre, up to half a pixel away.
+            assert!((f64::from(place.s_m) - s).abs() < 0.6 * f64::from(place.span_m) + 0.01);
+        }
+    }
+
+    #[test]
+    fn overlapping_and_unnumbered_lanes_are_named() {
+        let camera = camera();
+        let both = file(&[
+            ("1", "", NEAR),
+            ("4", "", [[-2.0, 25.0], [1.0, 25.0], [1.0, 75.0], [-2.0, 75.0]]),
+        ]);
+        let drawn = lanes(&both, "lanes.json", &camera).unwrap();
+        let calibration = Calibration::of_camera(&camera, "joint");
+        let error = table(&calibration, &drawn, [0; 32], "c").unwrap_err().to_string();
+        assert!(error.contains("lane 1") && error.contains("lane 4"), "{error}");
+        for label in ["kerb", "lane 0", "lane 9"] {
+            assert!(lanes(&file(&[(label, "", NEAR)]), "lanes.json", &camera).is_err());
+        }
+    }
+
+    #[test]
+    fn another_picture_size_is_refused() {
+        let mut camera = camera();
+        let file = file(&[("1", "", NEAR)]);
+        camera.image_size = [640, 480];
+        assert!(matches!(lanes(&file, "lanes.json", &camera), Err(Error::ImageSize { .. })));
+    }
+}

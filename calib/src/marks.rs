@@ -1,0 +1,172 @@
+//! Checking a calibration against marks of known length on the road.
+//!
+//! Owns the marks file and the error measures of the paper's table of methods: RMSE, MAE,
+//! MAPE, and beside them the bias of the mean length, because the paper's "MAE" agrees
+//! with that and cannot be a mean of absolute errors (its RMSE is more than sqrt(12) times
+//! larger, which 12 segments do not allow).
+
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Marks of known length.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct Marks {
+    /// The marks.
+    pub marks: Vec<Mark>,
+}
+
+/// A polyline on the road whose segments all have one length.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct Mark {
+    /// Points (u, v), px.
+    pub points: Vec<[f64; 2]>,
+    /// Length of each segment, m.
+    pub segment_length_m: f64,
+}
+
+/// How far measured lengths are from the known ones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Accuracy {
+    /// Root mean square error, m.
+    pub rmse_m: f64,
+    /// Mean absolute error, m.
+    pub mae_m: f64,
+    /// Mean absolute error in per cent of the known length.
+    pub mape_pct: f64,
+    /// Mean signed error, m (the paper's "MAE" is its absolute value).
+    pub bias_m: f64,
+    /// Mean signed error in per cent of the known length.
+    pub bias_pct: f64,
+    /// How many segments were measured.
+    pub segments: usize,
+}
+
+impl Marks {
+    /// Reads and checks a marks file.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let marks: Marks = serde_json::from_str(&text)
+            .map_err(|e| Error::Json { path: path.to_owned(), detail: e.to_string() })?;
+        marks.check()?;
+        Ok(marks)
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.marks.is_empty() {
+            return Err(Error::Marks("none in the file".into()));
+        }
+        for (index, mark) in self.marks.iter().enumerate() {
+            let number = index + 1;
+            if mark.points.len() < 2 {
+                let n = mark.points.len();
+                return Err(Error::Marks(format!(
+                    "mark {number} has {n} points, two make a length"
+                )));
+            }
+            if !mark.points.iter().flatten().all(|x| x.is_finite()) {
+                return Err(Error::Marks(format!(
+                    "mark {number} has a point that is not a number"
+                )));
+            }
+            let length = mark.segment_length_m;
+            if !(length > 0.0 && length.is_finite()) {
+                return Err(Error::Marks(format!("mark {number} has segments of {length} m")));
+            }
+        }
+        Ok(())
+    }
+
+    /// The segments: both ends (px) and the known length (m).
+    pub fn segments(&self) -> impl Iterator<Item = Segment> + '_ {
+        self.marks.iter().enumerate().flat_map(|(m, mark)| {
+            mark.points.windows(2).enumerate().map(move |(p, ends)| Segment {
+                mark: m + 1,
+                point: p + 1,
+                ends: [ends[0].into(), ends[1].into()],
+                length_m: mark.segment_length_m,
+            })
+        })
+    }
+
+    /// Measures every segment with a camera.
+    ///
+    /// # Errors
+    /// [`Error::AboveHorizon`] names the mark and the point that do not lie on the road.
+    pub fn verify(&self, camera: &Camera) -> Result<Accuracy> {
+        let mut errors = Vec::new();
+        for segment in self.segments() {
+            errors.push((segment.measure(camera)? - segment.length_m, segment.length_m));
+        }
+        Ok(Accuracy::of(&errors))
+    }
+}
+
+/// One stretch of road of known length.
+#[derive(Clone, Copy, Debug)]
+pub struct Segment {
+    /// Number of the mark, from 1.
+    pub mark: usize,
+    /// Number of its first point in the mark, from 1.
+    pub point: usize,
+    /// Both ends in the picture, px.
+    pub ends: [Vector2<f64>; 2],
+    /// The known length, m.
+    pub length_m: f64,
+}
+
+impl Segment {
+    /// Its length as a camera sees it, m.
+    pub fn measure(&self, camera: &Camera) -> Result<f64> {
+        let on_road = |k: usize| -> Result<Vector3<f64>> {
+            let uv = self.ends[k];
+            camera.back_project(&uv, 0.0).ok_or_else(|| Error::AboveHorizon {
+                what: format!("mark {}, point {}", self.mark, self.point + k),
+                u: uv.x,
+                v: uv.y,
+            })
+        };
+        Ok((on_road(0)? - on_road(1)?).norm())
+    }
+}
+
+impl Accuracy {
+    /// From pairs of error and known length, both m. All zero when there are none.
+    pub fn of(errors: &[(f64, f64)]) -> Self {
+        let n = (errors.len() as f64).max(1.0);
+        let mean = |f: fn(&(f64, f64)) -> f64| errors.iter().map(f).sum::<f64>() / n;
+        Accuracy {
+            rmse_m: mean(|(e, _)| e * e).sqrt(),
+            mae_m: mean(|(e, _)| e.abs()),
+            mape_pct: 100.0 * mean(|(e, l)| e.abs() / l),
+            bias_m: mean(|(e, _)| *e),
+            bias_pct: 100.0 * mean(|(e, l)| e / l),
+            segments: errors.len(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_measures_are_the_textbook_ones() {
+        let a = Accuracy::of(&[(0.5, 5.0), (-1.0, 10.0)]);
+        assert!((a.rmse_m - 0.625f64.sqrt()).abs() < 1e-12);
+        assert_eq!((a.mae_m, a.mape_pct, a.bias_m, a.bias_pct), (0.75, 10.0, -0.25, 0.0));
+        assert_eq!(a.segments, 2);
+    }
+
+    #[test]
+    fn impossible_marks_are_named() {
+        let mark =
+            |points, segment_length_m| Marks { marks: vec![Mark { points, segment_length_m }] };
+        assert!(mark(vec![[1.0, 2.0]], 6.0).check().is_err());
+        assert!(mark(vec![[1.0, 2.0], [3.0, 4.0]], 0.0).check().is_err());
+        assert!(mark(vec![[1.0, f64::NAN], [3.0, 4.0]], 6.0).check().is_err());
+    }
+}

@@ -1,0 +1,178 @@
+//! Every method by its name, from a checked problem to a calibration.
+//!
+//! Owns the list of methods and how the single-vehicle ones pick their camera. Does not own
+//! any solver.
+
+use crate::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
+use crate::camera::{Camera, Pose};
+use crate::error::{Error, Result};
+use crate::fine_tuning;
+use crate::loss::{Form, Weights, pack};
+use crate::model_matching::{Bounds, Matched};
+use crate::problem::{FocalPrior, Problem};
+use crate::stages::{self, Settings, Stages, Step};
+use crate::trust::{Evidence, verdict};
+use std::time::Instant;
+
+/// A calibration method by its name on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Method {
+    /// The paper's three stages.
+    Mvcalib,
+    /// Only the paper's first stage, which is EPnP (its ablation "CG").
+    Cg,
+    /// The paper's first two stages (its ablation "VM").
+    Vm,
+    /// EPnP at the default focal length; the same as `cg`.
+    Epnp,
+}
+
+impl Method {
+    /// The name as written on the command line and in calibration files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Mvcalib => "mvcalib",
+            Method::Cg => "cg",
+            Method::Vm => "vm",
+            Method::Epnp => "epnp",
+        }
+    }
+}
+
+/// What a calibration can be told beside its problem.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The method.
+    pub method: Method,
+    /// Paper's or authors' losses.
+    pub form: Form,
+    /// Weight of the angle in the fine-tuning loss.
+    pub alpha: f64,
+    /// Temperature of the vehicles' weights.
+    pub tau: f64,
+    /// Focal length to start from, px; `None` for the paper's 350 px of 320.
+    pub f0: Option<f64>,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
+impl Options {
+    /// The paper's settings of a method.
+    pub fn of(method: Method) -> Self {
+        Options { method, form: Form::Paper, alpha: 6.0, tau: 0.0, f0: None, seed: 0 }
+    }
+
+    fn settings(&self, problem: &Problem) -> Settings {
+        let width = problem.width_px();
+        let Options { form, alpha, tau, seed, .. } = *self;
+        let bounds = match form {
+            Form::Paper => Bounds::Absolute,
+            Form::Authors => Bounds::Authors,
+        };
+        let focal = self.f0.map_or(FocalPrior::of_width(width), |f0| FocalPrior::around(f0, width));
+        let weights = Weights { form, alpha, tau };
+        Settings { focal, weights, bounds, seed, ..Settings::paper(width) }
+    }
+}
+
+/// Calibrates. `progress` hears of every finished step.
+///
+/// # Errors
+/// Names the vehicle that no solver can pose, or the stage that found nothing.
+pub fn calibrate(
+    problem: &Problem,
+    options: &Options,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Result<Calibration> {
+    let start = Instant::now();
+    let settings = options.settings(problem);
+    let mut calibration = of_stages(problem, options, &settings, progress)?;
+    calibration.seed = options.seed;
+    calibration.wall_time_s = start.elapsed().as_secs_f64();
+    Ok(calibration)
+}
+
+fn of_stages(
+    problem: &Problem,
+    options: &Options,
+    settings: &Settings,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Result<Calibration> {
+    let stages = stages::calibrate(problem, settings, progress)?;
+    let weights = settings.weights;
+    let none = || Error::Solver { method: "mvcalib", detail: "no vehicle gives a camera".into() };
+    let (camera, bounds) = match options.method {
+        Method::Mvcalib => (stages.camera(problem), Some(settings.focal.tuning)),
+        Method::Vm => {
+            (stages.best_matched(problem, weights).ok_or_else(none)?, Some(settings.focal.matching))
+        }
+        Method::Cg | Method::Epnp => {
+            (stages.best_candidate(problem, weights).ok_or_else(none)?, None)
+        }
+    };
+    let mut calibration = Calibration::of_camera(&camera, options.method.name());
+    calibration.loss = Some(fine_tuning_loss(problem, &stages.matched, weights, &camera));
+    calibration.vehicles = matches(problem, &stages.matched);
+    calibration.evaluations = stages.evaluations();
+    calibration.stages = Some(losses(problem, &stages, weights));
+    let evidence = Evidence { rel_err: None, misfit_px: None, focal_bounds: bounds };
+    calibration.trust = verdict(problem, &camera, &evidence);
+    Ok(calibration)
+}
+
+fn fine_tuning_loss(
+    problem: &Problem,
+    matched: &[Matched],
+    weights: Weights,
+    camera: &Camera,
+) -> f64 {
+    let loss = fine_tuning::loss_of(problem, matched, weights);
+    loss.evaluate(0, &pack(&camera.pose, camera.lens.f))
+}
+
+fn matches(problem: &Problem, matched: &[Matched]) -> Vec<VehicleMatch> {
+    matched
+        .iter()
+        .map(|m| VehicleMatch {
+            name: problem.vehicles[m.vehicle].name.clone(),
+            model: Some(problem.models[m.model].name.clone()),
+            rms_px: None,
+        })
+        .collect()
+}
+
+/// The fine-tuning losses that the paper's figure of the three stages plots: each camera
+/// scored on all vehicles, the vehicle under the camera's own model, the others matched.
+fn losses(problem: &Problem, stages: &Stages, weights: Weights) -> StageLosses {
+    let score = |vehicle: usize, model: usize, pose: &Pose, f: f64| {
+        let mut assumed = stages.matched.clone();
+        if let Some(own) = assumed.iter_mut().find(|m| m.vehicle == vehicle) {
+            own.model = model;
+        }
+        let anchor = assumed.iter().position(|m| m.vehicle == vehicle).unwrap_or(0);
+        let loss =
+            fine_tuning::loss_of(problem, &assumed, weights).evaluate(anchor, &pack(pose, f));
+        loss.is_finite().then_some(loss)
+    };
+    let row = |vehicle: usize, model: usize, pose: &Pose, f: f64, stopped| StageLoss {
+        vehicle: problem.vehicles[vehicle].name.clone(),
+        model: problem.models[model].name.clone(),
+        f,
+        loss: score(vehicle, model, pose, f),
+        stopped,
+    };
+    let of_matched = |m: &Matched| {
+        let reason = serde_json::to_value(m.termination).ok();
+        let reason = reason.and_then(|v| v.as_str().map(str::to_owned));
+        row(m.vehicle, m.model, &m.pose, m.f, reason)
+    };
+    StageLosses {
+        candidates: stages
+            .candidates
+            .iter()
+            .map(|c| row(c.vehicle, c.model, &c.pose, c.f, None))
+            .collect(),
+        refined: stages.refined.iter().map(of_matched).collect(),
+        tuned: stages.tuned.iter().map(of_matched).collect(),
+    }
+}

@@ -122,8 +122,17 @@ where
         // sysexits: 64 is a wrong command line; help and version are none.
         std::process::exit(if error.use_stderr() { 64 } else { 0 });
     });
-    let level = if matches!(cli.command, Command::Run { .. }) { "info" } else { "warn" };
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or(level)).init();
+    let level = if matches!(cli.command, Command::Run { .. }) {
+        log::LevelFilter::Info
+    } else {
+        log::LevelFilter::Warn
+    };
+    env_logger::Builder::new()
+        .filter_level(level)
+        // The embedded broker reports each packet as an error.
+        .filter_module("rumqttd", log::LevelFilter::Off)
+        .parse_default_env()
+        .init();
     match cli.command {
         Command::Run { config } => commands::run::run(&config, board),
         Command::Check { config } => commands::check::run(&config),

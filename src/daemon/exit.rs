@@ -101,6 +101,11 @@ pub enum Failure {
 }
 
 impl Failure {
+    /// No picture came, as against one that cannot be measured.
+    pub fn is_missing_picture(&self) -> bool {
+        matches!(self, Self::Capture(fault) if !fault.is_damage())
+    }
+
     /// The exit code.
     pub fn code(&self) -> u8 {
         match self {

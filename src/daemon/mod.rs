@@ -74,6 +74,22 @@ pub struct LineSettings {
     pub start: Start,
 }
 
+impl LineSettings {
+    /// For a recording: every frame counts, whichever camera it is of.
+    pub fn recorded(table: &Path, model: &Path, window: Duration) -> Self {
+        Self {
+            table: table.to_owned(),
+            camera: None,
+            model: model.to_owned(),
+            score: None,
+            anchor: Anchor::default(),
+            windows: vec![window],
+            min_completeness: 0.0,
+            start: Start::WithFirstFrame,
+        }
+    }
+}
+
 /// Locate and aggregate: from detections to density.
 #[derive(Debug)]
 pub struct Counting {
@@ -142,6 +158,8 @@ impl Counting {
 /// What the stages took for one frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StageTimes {
+    /// Reading and decoding the picture.
+    pub capture: Duration,
     /// The picture into the net's input.
     pub prepare: Duration,
     /// The net.
@@ -204,7 +222,7 @@ impl Line {
         self.detector.read(picture, &output, &mut self.found)?;
         let read = lap();
         self.counting.count(&self.found, size, frame.time)?;
-        Ok(StageTimes { prepare, infer, read, count: lap() })
+        Ok(StageTimes { capture: Duration::ZERO, prepare, infer, read, count: lap() })
     }
 
     /// Notes that at `time` there was no usable frame, and why.
@@ -246,7 +264,7 @@ impl Line {
     }
 }
 
-/// A line with a recording in front, for `replay`, `demo` and `bench`.
+/// A line with a recording in front, for `replay` and `demo`.
 fn open_recording(
     settings: &LineSettings,
     frames: &Path,
@@ -266,12 +284,58 @@ fn open_detector(
     Ok((Recorded::open(frames, None)?, Detector::load(model, score)?))
 }
 
+/// A camera with the line behind it.
+#[derive(Debug)]
+struct Station {
+    source: Source,
+    frame: Frame,
+    line: Line,
+}
+
+impl Station {
+    /// The station of a configuration.
+    fn open(config: &Config) -> Result<Self, Failure> {
+        Ok(Self { source: open_camera(config)?, frame: Frame::default(), line: open_line(config)? })
+    }
+
+    /// Takes a picture and measures it: the windows that it closes, or `None` when the
+    /// picture is the one before.
+    fn turn(&mut self) -> Result<Option<Closed>, Failure> {
+        match self.source.next(&mut self.frame)? {
+            Captured::New => self.line.measure(&self.frame).map(Some),
+            Captured::Unchanged | Captured::End => Ok(None),
+        }
+    }
+
+    /// The same, timed; for a recording that is played for ever.
+    fn turn_timed(&mut self) -> Result<StageTimes, Failure> {
+        let begun = Instant::now();
+        self.source.next(&mut self.frame)?;
+        let capture = begun.elapsed();
+        Ok(StageTimes { capture, ..self.line.measure_timed(&self.frame)? })
+    }
+}
+
+/// A recording that is played for ever in front of a line, for `bench`.
+fn open_endless(settings: &LineSettings, frames: &Path) -> Result<Station, Failure> {
+    let (recorded, line) = open_recording(settings, frames, None)?;
+    let source = Source::Recorded(recorded.for_ever());
+    Ok(Station { source, frame: Frame::default(), line })
+}
+
+/// The first picture of a configuration's camera.
+fn first_picture(config: &Config) -> Result<Frame, Failure> {
+    let mut frame = Frame::default();
+    open_camera(config)?.next(&mut frame)?;
+    Ok(frame)
+}
+
 /// The camera of a configuration.
 fn open_camera(config: &Config) -> Result<Source, Failure> {
     let interval = config.interval();
     if !config.camera.is_snapshot() {
         let recorded = Recorded::open(Path::new(&config.camera.source), Some(interval))?;
-        return Ok(Source::Recorded(recorded));
+        return Ok(Source::Recorded(recorded.for_ever()));
     }
     let credentials =
         config.camera_secret()?.map(|(user, password)| Credentials { user, password });

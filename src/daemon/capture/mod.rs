@@ -8,8 +8,8 @@ mod recorded;
 mod snapshot;
 mod timestamp;
 
-pub use decode::{DecodeError, MAX_PICTURE};
-pub use recorded::{Recorded, RecordingError, TimeSource};
+pub use decode::{DecodeError, MAX_PICTURE, decode};
+pub use recorded::{Recorded, RecordingError};
 pub use snapshot::{Credentials, Snapshot, SnapshotError, SnapshotSettings};
 
 use super::flow::Frame;

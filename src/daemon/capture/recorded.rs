@@ -3,7 +3,8 @@
 //! Owns which files belong to a recording and when each was taken.
 
 use super::timestamp;
-use super::{CaptureError, Captured, MAX_PICTURE_BYTES, decode};
+use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
+use crate::daemon::clock;
 use crate::daemon::flow::Frame;
 use crate::units::UtcMs;
 use std::fs::{self, File};
@@ -39,13 +40,16 @@ pub enum RecordingError {
 
 /// Where the frames' times come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TimeSource {
+enum TimeSource {
     /// Each name carries its time (UTC).
     Names,
     /// The times at which the files were last written.
     Files,
-    /// A fixed interval, from the first frame's time where its name has one, else 1970.
+    /// An interval that was asked for, from the first frame's time where its name has one,
+    /// else 1970.
     Interval,
+    /// The same with [`DEFAULT_INTERVAL`], since nothing tells.
+    Assumed,
 }
 
 /// A folder of pictures, played once.
@@ -53,6 +57,7 @@ pub enum TimeSource {
 pub struct Recorded {
     files: Vec<(PathBuf, String, UtcMs)>,
     next: usize,
+    for_ever: bool,
     interval: Duration,
     time_source: TimeSource,
     bytes: Vec<u8>,
@@ -81,7 +86,13 @@ impl Recorded {
         names.sort_by(|a, b| a.1.cmp(&b.1));
         let (time_source, times, interval) = times(&names, interval)?;
         let files = names.into_iter().zip(times).map(|((p, n), t)| (p, n, t)).collect();
-        Ok(Self { files, next: 0, interval, time_source, bytes: Vec::new() })
+        Ok(Self { files, next: 0, for_ever: false, interval, time_source, bytes: Vec::new() })
+    }
+
+    /// The same recording as a camera: it begins again at its end, and its frames are
+    /// taken when they are asked for.
+    pub fn for_ever(self) -> Self {
+        Self { for_ever: true, ..self }
     }
 
     /// Number of frames.
@@ -89,9 +100,14 @@ impl Recorded {
         self.files.len()
     }
 
-    /// Where the times come from.
-    pub fn time_source(&self) -> TimeSource {
-        self.time_source
+    /// Whether the frames' names tell when they were taken.
+    pub fn tells_time(&self) -> bool {
+        self.time_source == TimeSource::Names
+    }
+
+    /// Whether the time between frames is nowhere told.
+    pub fn assumes_interval(&self) -> bool {
+        self.time_source == TimeSource::Assumed
     }
 
     /// Time between two frames (the median, where times come from names or files).
@@ -99,25 +115,23 @@ impl Recorded {
         self.interval
     }
 
-    /// Plays the recording once more.
-    pub fn rewind(&mut self) {
-        self.next = 0;
-    }
-
     /// Fills `frame` with the next picture. A picture that fails is passed over.
     pub(super) fn next(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
+        if self.for_ever && self.next == self.files.len() {
+            self.next = 0;
+        }
         let Some((path, name, time)) = self.files.get(self.next) else { return Ok(Captured::End) };
         self.next += 1;
-        frame.time = *time;
+        frame.time = if self.for_ever { clock::now() } else { *time };
         frame.name.clone_from(name);
         let read = |source| CaptureError::Read { path: path.clone(), source };
         self.bytes.clear();
         let file = File::open(path).map_err(read)?;
         file.take(MAX_PICTURE_BYTES as u64 + 1).read_to_end(&mut self.bytes).map_err(read)?;
         let decoded = if self.bytes.len() > MAX_PICTURE_BYTES {
-            Err(decode::DecodeError::TooManyBytes)
+            Err(DecodeError::TooManyBytes)
         } else {
-            decode::decode(&self.bytes, &mut frame.picture)
+            decode(&self.bytes, &mut frame.picture)
         };
         decoded.map_err(|source| CaptureError::Decode { name: name.clone(), source })?;
         Ok(Captured::New)
@@ -153,7 +167,8 @@ fn times(
     let step = interval.unwrap_or(DEFAULT_INTERVAL);
     let first = timestamp::from_name(&names[0].1).unwrap_or_default();
     let times = (0..names.len() as u32).map(|n| first.saturating_add(step.saturating_mul(n)));
-    Ok((TimeSource::Interval, times.collect(), step))
+    let source = if interval.is_some() { TimeSource::Interval } else { TimeSource::Assumed };
+    Ok((source, times.collect(), step))
 }
 
 /// The times with their median step, if they rise.

@@ -167,7 +167,7 @@ impl Snapshot {
         self.last = Some(sent);
         frame.time = clock::now();
         "snapshot".clone_into(&mut frame.name);
-        decode::decode(&self.bytes, &mut frame.picture)
+        decode(&self.bytes, &mut frame.picture)
             .map_err(|source| CaptureError::Decode { name: url.clone(), source })?;
         Ok(Captured::New)
     }

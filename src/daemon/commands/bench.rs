@@ -1,13 +1,9 @@
 //! `verge bench`: what each stage takes, as JSON.
 
 use super::recording;
-use crate::daemon::capture::{Captured, Source};
 use crate::daemon::cli::Bench;
 use crate::daemon::exit::Failure;
-use crate::daemon::flow::Frame;
-use crate::daemon::locate::Anchor;
-use crate::daemon::{Counting, LineSettings, StageTimes, open_recording};
-use crate::density::Start;
+use crate::daemon::{Counting, LineSettings, StageTimes, open_endless};
 use crate::units::{ImagePoint, ImageSize};
 use serde_json::json;
 use std::hint::black_box;
@@ -26,55 +22,31 @@ pub fn run(args: &Bench) -> Result<(), Failure> {
         }
     };
     let settings = LineSettings {
-        table,
-        camera: None,
-        model: args.model.model.clone(),
         score: args.model.score,
-        anchor: Anchor::default(),
-        windows: vec![Duration::from_secs(900)],
-        min_completeness: 0.0,
-        start: Start::WithFirstFrame,
+        ..LineSettings::recorded(&table, &args.model.model, Duration::from_secs(900))
     };
-    let (recorded, mut line) = open_recording(&settings, &frames, None)?;
-    let mut source = Source::Recorded(recorded);
-    let mut frame = Frame::default();
-    let mut cold_start = None;
-    let mut captures = Vec::new();
-    let mut stages: Vec<StageTimes> = Vec::new();
-    let count = args.count.max(1);
-    while stages.len() < 2 * count {
-        let begun = Instant::now();
-        match source.next(&mut frame)? {
-            Captured::End => {
-                if let Source::Recorded(recorded) = &mut source {
-                    recorded.rewind();
-                }
-                continue;
-            }
-            Captured::New | Captured::Unchanged => captures.push(begun.elapsed()),
-        }
-        stages.push(line.measure_timed(&frame)?);
-        cold_start.get_or_insert_with(|| started.elapsed());
+    let mut station = open_endless(&settings, &frames)?;
+    station.turn_timed()?;
+    let cold_start = started.elapsed();
+    for _ in 0..args.count {
+        station.turn_timed()?;
     }
-    let captures = &captures[count..];
-    let stages = &stages[count..];
+    let stages: Vec<StageTimes> =
+        (0..args.count.max(1)).map(|_| station.turn_timed()).collect::<Result<_, _>>()?;
     let stage = |pick: fn(&StageTimes) -> Duration| median_ms(stages.iter().map(pick));
-    let rest = captures.iter().zip(stages).map(|(&c, s)| c + s.prepare + s.read + s.count);
-    let whole =
-        captures.iter().zip(stages).map(|(&c, s)| c + s.prepare + s.infer + s.read + s.count);
     let report = json!({
-        "frames": count,
-        "picture": format!("{}x{}", frame.picture.width, frame.picture.height),
+        "frames": stages.len(),
+        "picture": station.line.counting().table().image_size.to_string(),
         "model": args.model.model.file_name().map(|name| name.to_string_lossy()),
-        "capture_ms": median_ms(captures.iter().copied()),
+        "capture_ms": stage(|s| s.capture),
         "prepare_ms": stage(|s| s.prepare),
         "infer_ms": stage(|s| s.infer),
         "read_ms": stage(|s| s.read),
         "count_ms": stage(|s| s.count),
-        "except_inference_ms": median_ms(rest),
-        "frame_ms": median_ms(whole),
-        "table_look_up_ns": look_up_ns(line.counting()),
-        "cold_start_ms": cold_start.map(|time| round(time.as_secs_f64() * 1e3)),
+        "except_inference_ms": stage(|s| s.capture + s.prepare + s.read + s.count),
+        "frame_ms": stage(|s| s.capture + s.prepare + s.infer + s.read + s.count),
+        "table_look_up_ns": look_up_ns(station.line.counting()),
+        "cold_start_ms": round(cold_start.as_secs_f64() * 1e3),
         "peak_rss_mb": peak_rss_mb(),
     });
     println!("{report:#}");

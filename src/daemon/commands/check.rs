@@ -2,9 +2,8 @@
 
 use crate::daemon::config::Config;
 use crate::daemon::exit::{self, Failure};
-use crate::daemon::flow::Frame;
 use crate::daemon::publish;
-use crate::daemon::{broker, open_camera, open_line};
+use crate::daemon::{broker, first_picture, open_line};
 use std::path::Path;
 
 pub fn run(path: &Path) -> Result<(), Failure> {
@@ -24,12 +23,7 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         let (model, table) = line.describe();
         format!("{model}; {table}")
     });
-    let camera = open_camera(&config).and_then(|mut camera| {
-        let mut frame = Frame::default();
-        camera.next(&mut frame)?;
-        Ok(frame)
-    });
-    let frame = report.line("camera", camera, |frame| {
+    let frame = report.line("camera", first_picture(&config), |frame| {
         format!("{}: {}x{} px", config.camera.source, frame.picture.width, frame.picture.height)
     });
     if let (Some(mut line), Some(frame)) = (line, frame) {

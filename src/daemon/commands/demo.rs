@@ -5,11 +5,9 @@
 
 use super::recording;
 use crate::daemon::exit::Failure;
-use crate::daemon::locate::Anchor;
 use crate::daemon::publish::loopback::{self, Subscriber};
 use crate::daemon::publish::{Format, MqttSettings, Publisher};
 use crate::daemon::{LineSettings, open_recording, play};
-use crate::density::Start;
 use serde_json::Value;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -21,16 +19,9 @@ const ROOT: &str = "verge/demo";
 pub fn run() -> Result<(), Failure> {
     let started = Instant::now();
     let recording = recording::find()?;
-    let settings = LineSettings {
-        table: recording.table.into(),
-        camera: None,
-        model: recording::model()?.into(),
-        score: None,
-        anchor: Anchor::default(),
-        windows: vec![Duration::from_secs(recording.window_s)],
-        min_completeness: 0.0,
-        start: Start::WithFirstFrame,
-    };
+    let window = Duration::from_secs(recording.window_s);
+    let model = recording::model()?;
+    let settings = LineSettings::recorded(recording.table.as_ref(), model, window);
     let interval = recording.interval_s.map(Duration::from_secs);
     let (recorded, mut line) = open_recording(&settings, recording.frames.as_ref(), interval)?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
@@ -40,7 +31,7 @@ pub fn run() -> Result<(), Failure> {
         "{} frames of {} -> {} -> {} -> mqtt://127.0.0.1:{port}/{ROOT}",
         recorded.len(),
         recording.frames,
-        settings.model.display(),
+        model.display(),
         recording.table,
     );
     let printer = thread::spawn(move || print_until_shutdown(subscriber));
@@ -103,7 +94,7 @@ fn print_density(window: &str, payload: &[u8]) -> usize {
         println!(
             "{:<20} {window:>7} {:>5} {:>12} {:>7} {:>7}  {}",
             message["from"].as_str().map_or("", |from| &from[..19.min(from.len())]),
-            lane["lane"],
+            lane["lane"].to_string(),
             number(&lane["density_veh_km"]),
             number(&lane["density_se"]),
             format!("{}/{}", lane["frames_used"], lane["frames_expected"]),

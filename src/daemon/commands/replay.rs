@@ -1,39 +1,32 @@
 //! `verge replay`: density in recorded frames, the same bytes each time.
 
 use super::text;
-use crate::daemon::capture::TimeSource;
 use crate::daemon::cli::Replay;
 use crate::daemon::clock::rfc3339;
 use crate::daemon::exit::Failure;
 use crate::daemon::output::WholeFile;
 use crate::daemon::publish::{payload, window_name};
 use crate::daemon::{LineSettings, open_recording, play};
-use crate::density::Start;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::time::Duration;
 
 pub fn run(args: &Replay) -> Result<(), Failure> {
     let settings = LineSettings {
-        table: args.table.clone(),
-        camera: None,
-        model: args.model.model.clone(),
         score: args.model.score,
         anchor: args.anchor,
-        windows: vec![Duration::from_secs(args.window)],
-        min_completeness: 0.0,
-        start: Start::WithFirstFrame,
+        ..LineSettings::recorded(&args.table, &args.model.model, Duration::from_secs(args.window))
     };
     let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
     let (recorded, mut line) = open_recording(&settings, &args.frames, interval)?;
-    if interval.is_none() && recorded.time_source() == TimeSource::Interval {
+    if recorded.assumes_interval() {
         log::warn!(
             "neither names nor file times tell when the frames were taken: one each {} s is \
              assumed (--interval)",
             recorded.interval().as_secs_f64()
         );
     }
-    let clock_synced = recorded.time_source() == TimeSource::Names;
+    let clock_synced = recorded.tells_time();
     let site = line.counting().table().camera_id.clone();
     let mut identity = line.identity(&site);
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;

@@ -1,13 +1,11 @@
 //! `verge run`: measures and publishes until it is told to stop.
 
-use crate::daemon::capture::{CaptureError, Captured, Source};
 use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
-use crate::daemon::flow::Frame;
 use crate::daemon::publish::Publisher;
 use crate::daemon::publish::payload::{self, Frames, Messages, status_name};
-use crate::daemon::{Line, open_camera, open_line, open_publisher};
+use crate::daemon::{Station, open_publisher};
 use crate::density::{Closed, SampleZoneStatus};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use crate::health::{Actions, Alarm, Event, Health};
@@ -31,11 +29,10 @@ where
 {
     let config = Config::read(config)?;
     let stop = stop_flag()?;
-    let source = open_camera(&config)?;
-    let line = open_line(&config)?;
-    let publisher = open_publisher(&config, &line)?;
+    let station = Station::open(&config)?;
+    let publisher = open_publisher(&config, &station.line)?;
     log::info!("site {}: measuring every {:?}", config.site, config.interval());
-    let mut sensor = Sensor::new(&config.site, source, line, publisher);
+    let mut sensor = Sensor::new(&config, station, publisher);
     let mut next = Instant::now();
     while !stop.load(Ordering::Relaxed) {
         let mut event = None;
@@ -85,10 +82,8 @@ where
 /// The running line with what is known about its health.
 struct Sensor {
     site: String,
-    source: Source,
-    line: Line,
+    station: Station,
     publisher: Publisher,
-    frame: Frame,
     started: Instant,
     health: Health,
     actions: Option<Actions>,
@@ -98,16 +93,13 @@ struct Sensor {
 }
 
 impl Sensor {
-    fn new(site: &str, source: Source, line: Line, publisher: Publisher) -> Self {
-        let health = Health::new(source.interval(), Duration::ZERO);
+    fn new(config: &Config, station: Station, publisher: Publisher) -> Self {
         Self {
-            site: site.to_owned(),
-            source,
-            line,
+            site: config.site.clone(),
+            station,
             publisher,
-            frame: Frame::default(),
             started: Instant::now(),
-            health,
+            health: Health::new(config.interval(), Duration::ZERO),
             actions: None,
             frames: Frames::default(),
             last_fault: None,
@@ -117,22 +109,21 @@ impl Sensor {
 
     /// One turn of the line: a picture, or the reason why there is none.
     fn turn(&mut self) -> Event {
-        let outcome = self.capture_and_measure();
-        let now = clock::now();
+        let outcome = self.station.turn();
         let (event, status) = match outcome {
-            Ok(Event::Measured) => {
+            Ok(Some(closed)) => {
                 self.last_fault = None;
                 self.frames.measured += 1;
+                self.publish(&closed);
                 return Event::Measured;
             }
-            Ok(event) => {
+            Ok(None) => {
                 self.frames.unchanged += 1;
-                (event, SampleZoneStatus::InputDataIntegrity)
+                (Event::Unchanged, SampleZoneStatus::InputDataIntegrity)
             }
             Err(fault) => {
-                let missing = matches!(&fault, Failure::Capture(fault) if !fault.is_damage());
                 self.note(&fault);
-                if missing {
+                if fault.is_missing_picture() {
                     self.frames.missing += 1;
                     (Event::Missing, SampleZoneStatus::SensorFailure)
                 } else {
@@ -141,44 +132,23 @@ impl Sensor {
                 }
             }
         };
-        let closed = self.line.miss(now, status);
+        let closed = self.station.line.miss(clock::now(), status);
         self.publish(&closed);
         event
-    }
-
-    fn capture_and_measure(&mut self) -> Result<Event, Failure> {
-        let mut captured = self.source.next(&mut self.frame)?;
-        if let Source::Recorded(recorded) = &mut self.source {
-            // Recorded frames stand in for a camera: they come now, and without end.
-            if captured == Captured::End {
-                recorded.rewind();
-                captured = self.source.next(&mut self.frame)?;
-            }
-            self.frame.time = clock::now();
-        }
-        if captured != Captured::New {
-            return Ok(Event::Unchanged);
-        }
-        let closed = self.line.measure(&self.frame)?;
-        self.publish(&closed);
-        Ok(Event::Measured)
     }
 
     /// Says a fault when it is another than the last: once, not with every frame.
     fn note(&mut self, fault: &Failure) {
         let text = fault.to_string();
         if self.last_fault.as_ref() != Some(&text) {
-            match fault {
-                Failure::Capture(CaptureError::Snapshot(_)) => log::warn!("no picture: {text}"),
-                _ => log::warn!("no measurement: {text}"),
-            }
+            log::warn!("no measurement: {text}");
             self.last_fault = Some(text);
         }
     }
 
     /// Closes windows, judges health and publishes what has changed.
     fn settle(&mut self, event: Option<Event>) -> Actions {
-        let closed = self.line.counting().windows().advance(clock::now());
+        let closed = self.station.line.counting().windows().advance(clock::now());
         self.publish(&closed);
         let since_start = self.started.elapsed();
         let actions = match event {

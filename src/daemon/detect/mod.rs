@@ -12,7 +12,7 @@ pub use sidecar::{Sidecar, SidecarError};
 
 use super::flow::{Detection, Picture};
 use crate::lane::Name;
-use crate::wire::ModelRef;
+use crate::wire::{ModelRef, hex};
 use head::Head;
 use letterbox::Letterbox;
 use sha2::{Digest, Sha256};
@@ -110,7 +110,7 @@ impl Detector {
         let bytes = std::fs::read(&path)
             .map_err(|source| ModelError::Read { path: path.clone(), source })?;
         let sha256: [u8; 32] = Sha256::digest(&bytes).into();
-        let actual = hex(&sha256);
+        let actual = hex(&sha256).as_str().to_owned();
         if sidecar.sha256 != actual {
             let expected = sidecar.sha256;
             return Err(ModelError::Hash { path, sidecar: sidecar_path, expected, actual });
@@ -234,9 +234,4 @@ fn plan(
 fn known_shape(fact: &InferenceFact) -> Option<Vec<usize>> {
     let dims = fact.shape.as_concrete_finite().ok()??;
     Some(dims.to_vec())
-}
-
-/// Lower-case hexadecimal.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -187,10 +187,10 @@ impl Sidecar {
         }
         let read = |source| SidecarError::Read { path: path.to_owned(), source };
         let digest = <sha2::Sha256 as sha2::Digest>::digest(std::fs::read(path).map_err(read)?);
-        let hash = super::hex(&digest);
+        let hash = crate::wire::hex(&digest.into());
         for (name, text) in KNOWN {
             let sidecar = Self::parse(text, Path::new(name))?;
-            if sidecar.sha256 == hash {
+            if sidecar.sha256 == hash.as_str() {
                 return Ok((sidecar, PathBuf::from(name), path.to_owned()));
             }
         }

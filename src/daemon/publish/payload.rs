@@ -4,7 +4,7 @@
 use crate::daemon::clock::rfc3339;
 use crate::density::{LaneReport, SampleZoneStatus};
 use crate::units::VehicleClass;
-use crate::wire::DensityMessage;
+use crate::wire::{DensityMessage, hex};
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
 /// Version of every JSON message; a reader refuses one that it does not know.
@@ -53,14 +53,14 @@ struct Lane<'a> {
 #[derive(Serialize)]
 struct Calibration<'a> {
     id: &'a str,
-    sha256: String,
+    sha256: heapless::String<64>,
     rel_err: Option<f32>,
 }
 
 #[derive(Serialize)]
 struct Model<'a> {
     name: &'a str,
-    sha256: String,
+    sha256: heapless::String<64>,
 }
 
 /// Mean vehicles by class name, in the classes' order.
@@ -113,13 +113,10 @@ pub fn density(message: &DensityMessage) -> Vec<u8> {
         lanes: report.lanes.iter().map(Lane::from).collect(),
         calibration: Calibration {
             id: &message.calibration.id,
-            sha256: crate::daemon::detect::hex(&message.calibration.sha256),
+            sha256: hex(&message.calibration.sha256),
             rel_err: message.calibration.rel_err,
         },
-        model: Model {
-            name: &message.model.name,
-            sha256: crate::daemon::detect::hex(&message.model.sha256),
-        },
+        model: Model { name: &message.model.name, sha256: hex(&message.model.sha256) },
     })
 }
 

@@ -31,7 +31,8 @@ fn identity() -> Identity {
 
 /// A window with vehicles in lane 2, and one in which no picture came.
 fn windows() -> Vec<WindowReport> {
-    let lanes = &table().description().lanes;
+    let table = table();
+    let lanes = &table.description().lanes;
     let mut line = Aggregator::new(lanes, &[MINUTE], MINUTE / 3, 0.5, Start::AtNextWindow)
         .expect("a right configuration");
     let mut counts = FrameCounts::default();
@@ -178,7 +179,12 @@ fn what_was_measured_while_the_broker_was_away_arrives_later() {
     std::thread::sleep(Duration::from_millis(500));
     let _broker = mosquitto.start(port);
     let mut subscriber = Subscriber::connect(port, "verge/+/density/#").expect("a subscription");
-    assert_eq!(seq(&mut subscriber), 2);
+    // The first may come again: its acknowledgement can have died with the broker.
+    let mut arrived = seq(&mut subscriber);
+    if arrived == 1 {
+        arrived = seq(&mut subscriber);
+    }
+    assert_eq!(arrived, 2);
     publisher.stop();
 }
 

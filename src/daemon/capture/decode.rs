@@ -60,12 +60,12 @@ pub fn decode(bytes: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
     let damaged = |error: image::ImageError| DecodeError::Damaged(error.to_string());
     match image::guess_format(bytes) {
         Ok(ImageFormat::Jpeg) => {
-            let decoder =
-                image::codecs::jpeg::JpegDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
-            check_size(decoder.dimensions())?;
             if !has_end_of_image(bytes) {
                 return Err(DecodeError::Truncated { bytes: bytes.len() });
             }
+            let decoder =
+                image::codecs::jpeg::JpegDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
+            check_size(decoder.dimensions())?;
             read(decoder, picture)
         }
         Ok(ImageFormat::Png) => {

@@ -30,9 +30,7 @@ pub fn run(args: &Replay) -> Result<(), Failure> {
     let site = line.counting().table().camera_id.clone();
     let mut identity = line.identity(&site);
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
-    if !args.json {
-        print(text::LANE_HEADING)?;
-    }
+    let mut heading = (!args.json).then_some(text::LANE_HEADING);
     play(
         recorded,
         &mut line,
@@ -47,6 +45,7 @@ pub fn run(args: &Replay) -> Result<(), Failure> {
                     print(&String::from_utf8_lossy(&json))?;
                     continue;
                 }
+                heading.take().map_or(Ok(()), print)?;
                 let window = window_name(Duration::from_secs(args.window));
                 for lane in &report.lanes {
                     print(&text::lane(&window, &rfc3339(report.from)[..19], lane))?;

@@ -442,7 +442,7 @@ struct Player {
 
 impl Player {
     fn new(recorded: Recorded) -> Self {
-        let frames = recorded.len();
+        let frames = recorded.frames();
         let source = Source::Recorded(recorded);
         Self { source, frame: Frame::default(), frames, measured: 0, first_fault: None }
     }

@@ -96,7 +96,7 @@ impl Recorded {
     }
 
     /// Number of frames.
-    pub fn len(&self) -> usize {
+    pub fn frames(&self) -> usize {
         self.files.len()
     }
 

@@ -29,7 +29,7 @@ pub fn run() -> Result<(), Failure> {
         .map_err(|e| Failure::Internal(e.to_string()))?;
     println!(
         "{} frames of {} -> {} -> {} -> mqtt://127.0.0.1:{port}/{ROOT}",
-        recorded.len(),
+        recorded.frames(),
         recording.frames,
         model.display(),
         recording.table,
@@ -43,7 +43,7 @@ pub fn run() -> Result<(), Failure> {
         root: ROOT.into(),
         keep_alive: Duration::from_secs(30),
     };
-    let frames = recorded.len();
+    let frames = recorded.frames();
     let mut publisher = Publisher::start(broker, Format::Json, line.identity("demo"));
     let played = play(
         recorded,

@@ -40,7 +40,11 @@ pub fn start_broker() -> Result<u16, LoopbackError> {
     let mut broker = Broker::new(config(address));
     std::thread::Builder::new()
         .name("broker".into())
-        .spawn(move || broker.start())
+        .spawn(move || {
+            if let Err(error) = broker.start() {
+                log::error!("the embedded broker ended: {error}");
+            }
+        })
         .map_err(LoopbackError::Port)?;
     let started = Instant::now();
     while TcpStream::connect(address).is_err() {

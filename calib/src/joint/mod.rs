@@ -1,0 +1,205 @@
+//! The joint method: one camera over one road plane, all vehicles at once.
+//!
+//! Not in the paper. Each vehicle has a position and a yaw on the road and a continuous
+//! shape with a prior; focal length, tilt, roll and height are shared; robust least squares
+//! over all key points, from several focal lengths; lines side by side and known lengths
+//! are further observations. The curvature at the optimum gives the error of any length.
+//!
+//! Owns the order of these steps and the noise model. Does not own the terms.
+
+pub mod cues;
+pub mod residuals;
+pub mod scene;
+pub mod shape;
+pub mod solver;
+pub mod start;
+pub mod uncertainty;
+
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::problem::Problem;
+use cues::RoadCues;
+use rayon::prelude::*;
+use residuals::Observed;
+use scene::CameraStep;
+use shape::ShapePrior;
+use solver::{CameraPrior, Estimate, Objective};
+use uncertainty::CameraCovariance;
+
+/// What the joint method can be told.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// A further focal length to start from, px.
+    pub f0: Option<f64>,
+    /// Estimate radial distortion too.
+    pub distortion: bool,
+    /// Standard deviation of the camera's sway between pictures, px.
+    pub sway_px: f64,
+    /// Lines and marks on the road.
+    pub cues: RoadCues,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings { f0: None, distortion: false, sway_px: 0.0, cues: RoadCues::default() }
+    }
+}
+
+/// What the joint method found.
+#[derive(Clone, Debug)]
+pub struct Joint {
+    /// The unknowns at the optimum.
+    pub estimate: Estimate,
+    /// Covariance of the camera's unknowns.
+    pub covariance: CameraCovariance,
+    /// Standard deviation of a label's coordinate, estimated from the fit, px.
+    pub label_sd_px: f64,
+    /// Root mean square misfit of each vehicle's key points, px.
+    pub misfit_px: Vec<f64>,
+    /// Linearisations over all starts.
+    pub evaluations: usize,
+    image_size: [u32; 2],
+}
+
+impl Joint {
+    /// The calibrated camera.
+    pub fn camera(&self) -> Camera {
+        self.estimate.camera.camera(self.image_size)
+    }
+
+    /// Standard error of a length on the road, as a part of it, where the vehicles stand.
+    pub fn rel_err(&self) -> Option<f64> {
+        let Estimate { camera, vehicles, .. } = &self.estimate;
+        self.covariance.relative_sd_at(camera, self.image_size, vehicles)
+    }
+}
+
+/// Focal lengths to start from, as parts of the picture's width: 80 to 23 degrees.
+const START_WIDTHS: [f64; 4] = [0.6, 1.0, 1.6, 2.5];
+/// Label noise before it is estimated, as a part of the picture's width: 1 px of 320.
+const FIRST_LABEL_SD_WIDTHS: f64 = 1.0 / 320.0;
+/// Label noise is never taken to be smaller than this, px.
+const MIN_LABEL_SD_PX: f64 = 0.1;
+/// Rounds of noise estimate and fit.
+const ROUNDS: usize = 4;
+/// Steps of each start, then of the best one in each round.
+const START_STEPS: usize = 40;
+const ROUND_STEPS: usize = 40;
+
+/// The prior of a camera over a road: focal length a few to one (the median lens is 1.1
+/// widths), height 12 m within a factor of 1.8, roll 3 degrees, tilt open.
+fn prior(width_px: f64, distortion: bool) -> CameraPrior {
+    let mean = [(1.1 * width_px).ln(), 0.35, 0.0, 12f64.ln(), 0.0];
+    let sd = [0.6, 0.5, 3f64.to_radians(), 0.6, if distortion { 0.1 } else { 1e-9 }];
+    CameraPrior { mean: CameraStep::from(mean), sd: CameraStep::from(sd) }
+}
+
+/// Calibrates. The starts run in parallel; the result does not depend on threads.
+///
+/// # Errors
+/// When no vehicle can be posed at any of the starting focal lengths.
+pub fn calibrate(problem: &Problem, settings: &Settings) -> Result<Joint> {
+    let shape = ShapePrior::of_models(&problem.models);
+    let width = problem.width_px();
+    let first_sd = FIRST_LABEL_SD_WIDTHS * width;
+    let size = problem.image_size;
+    let mut objective = Objective {
+        image_size: size,
+        observed: problem.vehicles.iter().map(|v| Observed::of(v, &shape, first_sd)).collect(),
+        shape,
+        prior: prior(width, settings.distortion),
+        shift_sd_px: settings.sway_px.max(1e-3),
+        cues: settings.cues.clone(),
+        cue_noise: cues::CueNoise::default(),
+    };
+    let focal_lengths: Vec<f64> =
+        START_WIDTHS.iter().map(|w| w * width).chain(settings.f0).collect();
+    let starts: Vec<Estimate> = focal_lengths
+        .par_iter()
+        .filter_map(|&f| {
+            let (camera, vehicles) =
+                start::at_focal_length(f, size, &problem.vehicles, &objective.shape)?;
+            // The cues join later: their noise needs a camera that sees them.
+            let plain = Objective { cues: RoadCues::default(), ..objective.clone() };
+            plain.minimise(camera, vehicles, START_STEPS)
+        })
+        .collect();
+    let mut evaluations: usize = starts.iter().map(|e| e.steps).sum();
+    let best = starts.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
+    let mut best = best.ok_or_else(|| Error::Solver {
+        method: "joint",
+        detail: "no start puts the vehicles on a road below the camera; check the labels".into(),
+    })?;
+    let lost = |detail: &str| Error::Solver { method: "joint", detail: detail.to_owned() };
+    let mut label_sd_px = first_sd;
+    for _ in 0..ROUNDS {
+        label_sd_px = update_noise(&mut objective, &best, label_sd_px);
+        objective.cue_noise = objective
+            .cues
+            .noise(&best.camera, size)
+            .ok_or_else(|| lost("a lane line or mark lies above the horizon of the vehicles"))?;
+        let Estimate { camera, vehicles, .. } = best;
+        best = objective
+            .minimise(camera, vehicles, ROUND_STEPS)
+            .ok_or_else(|| lost("the fit left the picture"))?;
+        evaluations += best.steps;
+    }
+    let (information, _) =
+        objective.information(&best).ok_or_else(|| lost("the data do not determine a camera"))?;
+    let covariance =
+        information.try_inverse().ok_or_else(|| lost("the data do not determine a camera"))?;
+    let view = best.camera.camera(size);
+    let misfit_px = objective
+        .observed
+        .iter()
+        .zip(&best.vehicles)
+        .map(|(o, v)| {
+            let misfits = o.misfits(&view, v, &objective.shape);
+            (misfits.iter().map(|(r2, _)| r2).sum::<f64>() / misfits.len() as f64).sqrt()
+        })
+        .collect();
+    Ok(Joint {
+        estimate: best,
+        covariance: CameraCovariance(covariance),
+        label_sd_px,
+        misfit_px,
+        evaluations,
+        image_size: size,
+    })
+}
+
+/// Estimates the label noise from the misfits and gives every point its own: label noise
+/// plus the scatter of a key point on a real car, which near cars show larger. Returns the
+/// label noise, px.
+///
+/// The noise solves sum r^2 / (sd^2 + (f/z point_sd)^2) = observations - determined
+/// parameters.
+fn update_noise(objective: &mut Objective, at: &Estimate, now_px: f64) -> f64 {
+    let view = at.camera.camera(objective.image_size);
+    let point_sd = objective.shape.point_sd_m;
+    let misfits: Vec<Vec<(f64, f64)>> = objective
+        .observed
+        .iter()
+        .zip(&at.vehicles)
+        .map(|(o, v)| o.misfits(&view, v, &objective.shape))
+        .collect();
+    let count = 2 * misfits.iter().map(Vec::len).sum::<usize>();
+    let determined = objective.information(at).map_or(0.5 * count as f64, |(_, d)| d);
+    let freedom = (count as f64 - determined).max(0.25 * count as f64);
+    let excess = |sd: f64| {
+        let terms = misfits.iter().flatten();
+        terms.map(|(r2, scale)| r2 / (sd * sd + (scale * point_sd).powi(2))).sum::<f64>() - freedom
+    };
+    let (mut low, mut high) = (MIN_LABEL_SD_PX, 20.0 * now_px.max(1.0));
+    for _ in 0..60 {
+        let middle = (low * high).sqrt();
+        if excess(middle) > 0.0 { low = middle } else { high = middle }
+    }
+    let sd = (low * high).sqrt();
+    for (observed, misfits) in objective.observed.iter_mut().zip(&misfits) {
+        for (slot, (_, scale)) in observed.sd_px.iter_mut().zip(misfits) {
+            *slot = (sd * sd + (scale * point_sd).powi(2)).sqrt();
+        }
+    }
+    sd
+}

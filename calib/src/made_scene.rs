@@ -86,7 +86,8 @@ fn attempt(kind: &Kind, models: &[VehicleModel], rng: &mut ChaCha8Rng) -> Option
     // The nearest vehicle stands low in the picture.
     let tilt = (h / near).atan() - (0.40 * height / f).atan();
     let roll = 2f64.to_radians() * normal(rng);
-    let state = CameraState { log_f: f.ln(), tilt, roll, log_height: h.ln(), k1: 0.0 };
+    let state =
+        CameraState { log_f: f.ln(), tilt, roll, log_height: h.ln(), ..CameraState::default() };
     let truth = state.camera(kind.image_size);
     let mut vehicles = Vec::new();
     for index in 0..kind.vehicles {
@@ -98,7 +99,7 @@ fn attempt(kind: &Kind, models: &[VehicleModel], rng: &mut ChaCha8Rng) -> Option
         })?;
         vehicles.push(found);
     }
-    let marks = marks(kind, &truth, near)?;
+    let marks = marks(kind, &truth, near, far)?;
     let problem = Problem::new(kind.image_size, vehicles, models.to_vec()).ok()?;
     Some(MadeScene { problem, truth, marks })
 }
@@ -142,14 +143,18 @@ fn vehicle(
     Some(Vehicle { name: name.to_owned(), points })
 }
 
-/// Two lines of up to six segments from the nearest vehicle on, as far as they are in the
-/// picture.
-fn marks(kind: &Kind, camera: &Camera, near: f64) -> Option<Marks> {
+/// Two lines of one to six segments, from the nearest to the furthest vehicle, as far as
+/// they are in the picture.
+fn marks(kind: &Kind, camera: &Camera, near: f64, far: f64) -> Option<Marks> {
     let [width, height] = kind.image_size.map(f64::from);
     let line = |x: f64| {
         let points: Vec<[f64; 2]> = (0..=6)
             .map_while(|k| {
-                let p = Vector3::new(x, near + kind.segment_m * f64::from(k), 0.0);
+                let y = near + kind.segment_m * f64::from(k);
+                if k > 1 && y > far {
+                    return None;
+                }
+                let p = Vector3::new(x, y, 0.0);
                 let uv = camera.project(&p)?;
                 let inside = (0.0..width).contains(&uv.x) && (0.0..height).contains(&uv.y);
                 inside.then(|| uv.into())

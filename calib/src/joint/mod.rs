@@ -18,12 +18,12 @@ pub mod uncertainty;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::problem::Problem;
-use cues::RoadCues;
+use cues::{CueNoise, RoadCues};
 use rayon::prelude::*;
 use residuals::Observed;
-use scene::CameraStep;
+use scene::{CameraState, CameraStep};
 use shape::ShapePrior;
-use solver::{CameraPrior, Estimate, Objective};
+use solver::{CameraInformation, CameraPrior, Estimate, Objective};
 use uncertainty::CameraCovariance;
 
 /// What the joint method can be told.
@@ -52,6 +52,8 @@ pub struct Joint {
     pub estimate: Estimate,
     /// Covariance of the camera's unknowns.
     pub covariance: CameraCovariance,
+    /// Probability of each of [`DIVERSITIES`].
+    pub diversity: [f64; DIVERSITIES.len()],
     /// Standard deviation of a label's coordinate, estimated from the fit, px.
     pub label_sd_px: f64,
     /// Root mean square misfit of each vehicle's key points, px.
@@ -86,12 +88,30 @@ const ROUNDS: usize = 4;
 const START_STEPS: usize = 40;
 const ROUND_STEPS: usize = 40;
 
+/// A road of 100 m radius turns by 0.01 rad per m; most turn less.
+const CURVATURE_SD: f64 = 0.005;
+
 /// The prior of a camera over a road: focal length a few to one (the median lens is 1.1
 /// widths), height 12 m within a factor of 1.8, roll 3 degrees, tilt open.
 fn prior(width_px: f64, distortion: bool) -> CameraPrior {
-    let mean = [(1.1 * width_px).ln(), 0.35, 0.0, 12f64.ln(), 0.0];
-    let sd = [0.6, 0.5, 3f64.to_radians(), 0.6, if distortion { 0.1 } else { 1e-9 }];
+    let k1_sd = if distortion { 0.1 } else { 1e-9 };
+    let mean = [(1.1 * width_px).ln(), 0.35, 0.0, 12f64.ln(), 0.0, 0.0, 0.0];
+    let sd = [0.6, 0.5, 3f64.to_radians(), 0.6, k1_sd, 10.0, CURVATURE_SD];
     CameraPrior { mean: CameraStep::from(mean), sd: CameraStep::from(sd) }
+}
+
+/// How diverse the fleet may be, as parts of [`shape::UNKNOWN_CARS`]: (nearly) the known
+/// models themselves, something between, or none of them. The data choose.
+pub const DIVERSITIES: [f64; 3] = [0.1, 0.5, 1.0];
+
+/// The fit under one assumption about the fleet.
+struct Fit {
+    estimate: Estimate,
+    covariance: CameraInformation,
+    log_evidence: f64,
+    label_sd_px: f64,
+    misfit_px: Vec<f64>,
+    evaluations: usize,
 }
 
 /// Calibrates. The starts run in parallel; the result does not depend on threads.
@@ -99,55 +119,88 @@ fn prior(width_px: f64, distortion: bool) -> CameraPrior {
 /// # Errors
 /// When no vehicle can be posed at any of the starting focal lengths.
 pub fn calibrate(problem: &Problem, settings: &Settings) -> Result<Joint> {
-    let shape = ShapePrior::of_models(&problem.models);
+    let (start, mut evaluations) = best_start(problem, settings)?;
+    let fits: Vec<Fit> = DIVERSITIES
+        .par_iter()
+        .map(|d| fit(problem, settings, shape::UNKNOWN_CARS.times(*d), &start))
+        .collect::<Result<_>>()?;
+    evaluations += fits.iter().map(|f| f.evaluations).sum::<usize>();
+    Ok(average(fits, evaluations, problem.image_size))
+}
+
+fn objective(problem: &Problem, settings: &Settings, spread: shape::Spread) -> Objective {
+    let shape = ShapePrior::of_models(&problem.models, spread);
     let width = problem.width_px();
-    let first_sd = FIRST_LABEL_SD_WIDTHS * width;
-    let size = problem.image_size;
-    let mut objective = Objective {
-        image_size: size,
-        observed: problem.vehicles.iter().map(|v| Observed::of(v, &shape, first_sd)).collect(),
+    let sd_px = FIRST_LABEL_SD_WIDTHS * width;
+    Objective {
+        image_size: problem.image_size,
+        observed: problem.vehicles.iter().map(|v| Observed::of(v, &shape, sd_px)).collect(),
         shape,
         prior: prior(width, settings.distortion),
-        shift_sd_px: settings.sway_px.max(1e-3),
-        cues: settings.cues.clone(),
-        cue_noise: cues::CueNoise::default(),
-    };
+        shift_sd_px: settings.sway_px.max(MIN_SWAY_PX),
+        // The cues join later: their noise needs a camera that sees them.
+        cues: RoadCues::default(),
+        cue_noise: CueNoise::default(),
+    }
+}
+
+/// A camera that does not sway: shifts of a picture are pinned to this, px.
+const MIN_SWAY_PX: f64 = 1e-3;
+
+/// The best of the starts, fitted to the key points alone, and the steps it took.
+fn best_start(problem: &Problem, settings: &Settings) -> Result<(Estimate, usize)> {
+    let objective = objective(problem, settings, shape::UNKNOWN_CARS);
+    let width = problem.width_px();
     let focal_lengths: Vec<f64> =
         START_WIDTHS.iter().map(|w| w * width).chain(settings.f0).collect();
     let starts: Vec<Estimate> = focal_lengths
         .par_iter()
         .filter_map(|&f| {
-            let (camera, vehicles) =
-                start::at_focal_length(f, size, &problem.vehicles, &objective.shape)?;
-            // The cues join later: their noise needs a camera that sees them.
-            let plain = Objective { cues: RoadCues::default(), ..objective.clone() };
-            plain.minimise(camera, vehicles, START_STEPS)
+            let (size, shape) = (problem.image_size, &objective.shape);
+            let (camera, vehicles) = start::at_focal_length(f, size, &problem.vehicles, shape)?;
+            objective.minimise(camera, vehicles, START_STEPS)
         })
         .collect();
-    let mut evaluations: usize = starts.iter().map(|e| e.steps).sum();
+    let steps = starts.iter().map(|e| e.steps).sum();
     let best = starts.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
-    let mut best = best.ok_or_else(|| Error::Solver {
-        method: "joint",
-        detail: "no start puts the vehicles on a road below the camera; check the labels".into(),
+    let best = best.ok_or_else(|| {
+        lost("no start puts the vehicles on a road below the camera; check the labels")
     })?;
-    let lost = |detail: &str| Error::Solver { method: "joint", detail: detail.to_owned() };
-    let mut label_sd_px = first_sd;
+    Ok((best, steps))
+}
+
+fn lost(detail: &str) -> Error {
+    Error::Solver { method: "joint", detail: detail.to_owned() }
+}
+
+/// Fits everything under one assumption about the fleet: rounds of noise and least squares.
+fn fit(
+    problem: &Problem,
+    settings: &Settings,
+    spread: shape::Spread,
+    start: &Estimate,
+) -> Result<Fit> {
+    let mut objective = objective(problem, settings, spread);
+    objective.cues = settings.cues.clone();
+    let size = problem.image_size;
+    let mut best = start.clone();
+    let mut label_sd_px = FIRST_LABEL_SD_WIDTHS * problem.width_px();
+    let mut evaluations = 0;
     for _ in 0..ROUNDS {
-        label_sd_px = update_noise(&mut objective, &best, label_sd_px);
         objective.cue_noise = objective
             .cues
             .noise(&best.camera, size)
             .ok_or_else(|| lost("a lane line or mark lies above the horizon of the vehicles"))?;
+        label_sd_px = update_noise(&mut objective, &best, label_sd_px);
         let Estimate { camera, vehicles, .. } = best;
         best = objective
             .minimise(camera, vehicles, ROUND_STEPS)
             .ok_or_else(|| lost("the fit left the picture"))?;
         evaluations += best.steps;
     }
-    let (information, _) =
-        objective.information(&best).ok_or_else(|| lost("the data do not determine a camera"))?;
-    let covariance =
-        information.try_inverse().ok_or_else(|| lost("the data do not determine a camera"))?;
+    let undetermined = || lost("the data do not determine a camera; label more vehicles");
+    let information = objective.information(&best).ok_or_else(undetermined)?;
+    let covariance = information.camera.try_inverse().ok_or_else(undetermined)?;
     let view = best.camera.camera(size);
     let misfit_px = objective
         .observed
@@ -158,14 +211,39 @@ pub fn calibrate(problem: &Problem, settings: &Settings) -> Result<Joint> {
             (misfits.iter().map(|(r2, _)| r2).sum::<f64>() / misfits.len() as f64).sqrt()
         })
         .collect();
-    Ok(Joint {
-        estimate: best,
+    let log_evidence = information.log_evidence;
+    Ok(Fit { estimate: best, covariance, log_evidence, label_sd_px, misfit_px, evaluations })
+}
+
+/// Averages the fits by their evidence: mean and covariance of the mixture; the vehicles
+/// are those of the likeliest fit.
+fn average(fits: Vec<Fit>, evaluations: usize, image_size: [u32; 2]) -> Joint {
+    let top = fits.iter().map(|f| f.log_evidence).fold(f64::NEG_INFINITY, f64::max);
+    let raw: Vec<f64> = fits.iter().map(|f| (f.log_evidence - top).exp()).collect();
+    let total: f64 = raw.iter().sum();
+    let weighted = || fits.iter().zip(raw.iter().map(|w| w / total));
+    let mean: CameraStep = weighted().map(|(f, w)| f.estimate.camera.vector() * w).sum();
+    let covariance: CameraInformation = weighted()
+        .map(|(f, w)| {
+            let off = f.estimate.camera.vector() - mean;
+            (f.covariance + off * off.transpose()) * w
+        })
+        .sum();
+    let best = (0..fits.len()).max_by(|&a, &b| raw[a].total_cmp(&raw[b])).unwrap_or(0);
+    let mut diversity = [0.0; DIVERSITIES.len()];
+    diversity.iter_mut().zip(&raw).for_each(|(d, w)| *d = w / total);
+    let Fit { mut estimate, label_sd_px, misfit_px, .. } =
+        fits.into_iter().nth(best).expect("there is a fit for every diversity");
+    estimate.camera = CameraState::of_vector(&mean);
+    Joint {
+        estimate,
         covariance: CameraCovariance(covariance),
+        diversity,
         label_sd_px,
         misfit_px,
         evaluations,
-        image_size: size,
-    })
+        image_size,
+    }
 }
 
 /// Estimates the label noise from the misfits and gives every point its own: label noise
@@ -184,14 +262,14 @@ fn update_noise(objective: &mut Objective, at: &Estimate, now_px: f64) -> f64 {
         .map(|(o, v)| o.misfits(&view, v, &objective.shape))
         .collect();
     let count = 2 * misfits.iter().map(Vec::len).sum::<usize>();
-    let determined = objective.information(at).map_or(0.5 * count as f64, |(_, d)| d);
-    let freedom = (count as f64 - determined).max(0.25 * count as f64);
+    let determined = objective.information(at).map_or(0.5 * count as f64, |i| i.determined);
+    let freedom = (count as f64 - determined).max(MIN_FREEDOM * count as f64);
     let excess = |sd: f64| {
         let terms = misfits.iter().flatten();
         terms.map(|(r2, scale)| r2 / (sd * sd + (scale * point_sd).powi(2))).sum::<f64>() - freedom
     };
     let (mut low, mut high) = (MIN_LABEL_SD_PX, 20.0 * now_px.max(1.0));
-    for _ in 0..60 {
+    for _ in 0..BISECTIONS {
         let middle = (low * high).sqrt();
         if excess(middle) > 0.0 { low = middle } else { high = middle }
     }
@@ -203,3 +281,8 @@ fn update_noise(objective: &mut Objective, at: &Estimate, now_px: f64) -> f64 {
     }
     sd
 }
+
+/// Part of the observations that always counts as left over for the noise.
+const MIN_FREEDOM: f64 = 0.25;
+/// Halvings of the noise's bracket (log scale): 1e-9 of it remains.
+const BISECTIONS: usize = 30;

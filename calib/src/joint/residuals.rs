@@ -59,7 +59,9 @@ impl Observed {
     ) -> Option<f64> {
         let view = camera.camera(image_size);
         let turn = turn(vehicle.yaw);
-        let mut cost = 0.5 * vehicle.shape.norm_squared()
+        let off_road = heading_residual(camera, vehicle);
+        let mut cost = 0.5 * robust(off_road * off_road).0
+            + 0.5 * vehicle.shape.norm_squared()
             + 0.5 * vehicle.shift.norm_squared() / (shift_sd_px * shift_sd_px);
         for (&(label, uv), sd) in self.points.iter().zip(&self.sd_px) {
             let p = on_road(&turn, vehicle, prior.point(label, &vehicle.shape)?);
@@ -83,6 +85,7 @@ impl Observed {
         let height = camera.height_m();
         let turn = turn(vehicle.yaw);
         let mut block = Block::of_priors(vehicle, shift_sd_px);
+        block.add_heading(camera, vehicle);
         for (&(label, uv), sd) in self.points.iter().zip(&self.sd_px) {
             let Some(shape) = prior.point(label, &vehicle.shape) else { continue };
             let p = on_road(&turn, vehicle, shape);
@@ -154,6 +157,23 @@ pub(super) fn vehicle_prior(shift_sd_px: f64) -> VehicleStep {
 }
 
 impl Block {
+    /// The term that keeps a vehicle along the road.
+    fn add_heading(&mut self, camera: &CameraState, vehicle: &VehicleState) {
+        let r = heading_residual(camera, vehicle);
+        let weight = robust(r * r).1;
+        let mut jc = CameraStep::zeros();
+        jc[5] = -1.0 / HEADING_SD;
+        jc[6] = -vehicle.position.y / HEADING_SD;
+        let mut jv = VehicleStep::zeros();
+        jv[1] = -camera.curvature / HEADING_SD;
+        jv[2] = 1.0 / HEADING_SD;
+        self.cc += jc * jc.transpose() * weight;
+        self.cv += jc * jv.transpose() * weight;
+        self.vv += jv * jv.transpose() * weight;
+        self.gc += jc * (r * weight);
+        self.gv += jv * (r * weight);
+    }
+
     fn of_priors(vehicle: &VehicleState, shift_sd_px: f64) -> Self {
         let information = vehicle_prior(shift_sd_px);
         let mut state = VehicleStep::zeros();
@@ -167,6 +187,19 @@ impl Block {
             gv: information.component_mul(&state),
         }
     }
+}
+
+/// Standard deviation of a vehicle's heading against the road's, rad: 6 degrees, a lane
+/// change in town.
+const HEADING_SD: f64 = 0.105;
+
+/// How far a vehicle's heading is from the road's where it stands, in standard deviations.
+/// Traffic in the opposite direction counts as along the road.
+fn heading_residual(camera: &CameraState, vehicle: &VehicleState) -> f64 {
+    let road = camera.heading + camera.curvature * vehicle.position.y;
+    let off = vehicle.yaw - road;
+    let half_turn = std::f64::consts::PI;
+    (off - half_turn * (off / half_turn).round()) / HEADING_SD
 }
 
 fn turn(yaw: f64) -> Matrix3<f64> {

@@ -8,8 +8,9 @@ use super::shape::{Coefficients, MODES};
 use crate::camera::{Camera, Lens, Pose};
 use nalgebra::{Matrix3, Rotation3, SVector, Vector2, Vector3};
 
-/// Unknowns of the camera: log f, tilt, roll, log height, k1.
-pub const CAMERA: usize = 5;
+/// Unknowns that all vehicles share: log f, tilt, roll, log height, k1 of the camera, then
+/// heading and curvature of the road.
+pub const CAMERA: usize = 7;
 /// Unknowns of a vehicle: x, y, yaw, shape coefficients, shift of its picture (du, dv).
 pub const VEHICLE: usize = 3 + MODES + 2;
 
@@ -18,8 +19,8 @@ pub type CameraStep = SVector<f64, CAMERA>;
 /// A change of a vehicle's unknowns.
 pub type VehicleStep = SVector<f64, VEHICLE>;
 
-/// The camera's unknowns.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The unknowns that all vehicles share: the camera's and the road's.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraState {
     /// Logarithm of the focal length (px).
     pub log_f: f64,
@@ -31,6 +32,10 @@ pub struct CameraState {
     pub log_height: f64,
     /// Radial distortion, see [`Lens::k1`].
     pub k1: f64,
+    /// Heading of the road below the camera against the camera's, rad.
+    pub heading: f64,
+    /// Change of the road's heading with the distance from the camera, rad per m.
+    pub curvature: f64,
 }
 
 /// A vehicle's unknowns.
@@ -57,14 +62,23 @@ pub struct Orientation {
 }
 
 impl CameraState {
-    /// From the vector (log f, tilt, roll, log height, k1).
+    /// From the vector of the shared unknowns, in the order of the fields.
     pub fn of_vector(v: &CameraStep) -> Self {
-        CameraState { log_f: v[0], tilt: v[1], roll: v[2], log_height: v[3], k1: v[4] }
+        CameraState {
+            log_f: v[0],
+            tilt: v[1],
+            roll: v[2],
+            log_height: v[3],
+            k1: v[4],
+            heading: v[5],
+            curvature: v[6],
+        }
     }
 
-    /// As the vector (log f, tilt, roll, log height, k1).
+    /// As the vector of the shared unknowns.
     pub fn vector(&self) -> CameraStep {
-        CameraStep::from([self.log_f, self.tilt, self.roll, self.log_height, self.k1])
+        let CameraState { log_f, tilt, roll, log_height, k1, heading, curvature } = *self;
+        CameraStep::from([log_f, tilt, roll, log_height, k1, heading, curvature])
     }
 
     /// Height over the road, m.
@@ -119,8 +133,13 @@ mod tests {
 
     #[test]
     fn the_camera_stands_over_the_origin_and_looks_down() {
-        let state =
-            CameraState { log_f: 400f64.ln(), tilt: 0.3, roll: 0.05, log_height: 2.5, k1: 0.0 };
+        let state = CameraState {
+            log_f: 400f64.ln(),
+            tilt: 0.3,
+            roll: 0.05,
+            log_height: 2.5,
+            ..CameraState::default()
+        };
         let camera = state.camera([320, 240]);
         let centre = camera.pose.camera_centre();
         assert!(centre.xy().norm() < 1e-9 && (centre.z - 2.5f64.exp()).abs() < 1e-9);
@@ -131,7 +150,8 @@ mod tests {
     #[test]
     fn orientation_derivatives_match_differences() {
         let at = |tilt, roll| {
-            CameraState { log_f: 6.0, tilt, roll, log_height: 2.0, k1: 0.0 }.orientation()
+            CameraState { log_f: 6.0, tilt, roll, log_height: 2.0, ..CameraState::default() }
+                .orientation()
         };
         let (h, o) = (1e-6, at(0.3, 0.1));
         let by_tilt = (at(0.3 + h, 0.1).rotation - at(0.3 - h, 0.1).rotation) / (2.0 * h);

@@ -16,13 +16,31 @@ pub const COMPONENTS: usize = 4;
 /// Ways to differ: components, overall scale, scale along x, y, z.
 pub const MODES: usize = COMPONENTS + 4;
 
-/// Standard deviation of a car's overall size against the mean shape (log scale).
-pub const SCALE_SD: f64 = 0.045;
-/// Standard deviation of each axis' size against the overall size (log scale).
-pub const AXIS_SD: f64 = 0.03;
-/// Standard deviation of a single key point against the shape, m: what one labeller takes
-/// for a headlight's centre, and what the modes cannot express.
-pub const POINT_SD_M: f64 = 0.05;
+/// How far cars of a fleet are from what the known models span.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// Standard deviation of a car's overall size (log scale).
+    pub scale: f64,
+    /// Standard deviation of each axis' size against the overall size (log scale).
+    pub axis: f64,
+    /// Standard deviation of a single key point against the shape, m: what one labeller
+    /// takes for a headlight's centre, and what the modes cannot express.
+    pub point_m: f64,
+}
+
+/// Passenger cars that are none of the known models.
+pub const UNKNOWN_CARS: Spread = Spread { scale: 0.045, axis: 0.03, point_m: 0.05 };
+
+impl Spread {
+    /// The same fleet, this many times as diverse.
+    pub fn times(self, factor: f64) -> Self {
+        Spread {
+            scale: self.scale * factor,
+            axis: self.axis * factor,
+            point_m: self.point_m * factor,
+        }
+    }
+}
 
 /// A distribution over cars. Points are relative to the middle of the footprint, so that a
 /// vehicle's position is the middle of its patch of road.
@@ -41,7 +59,7 @@ pub type Coefficients = nalgebra::SVector<f64, MODES>;
 
 impl ShapePrior {
     /// The distribution over cars that a set of models suggests.
-    pub fn of_models(models: &[VehicleModel]) -> Self {
+    pub fn of_models(models: &[VehicleModel], spread: Spread) -> Self {
         let centred: Vec<Vec<Option<Vector3<f64>>>> = models.iter().map(centre).collect();
         let mut mean = [None; KEY_POINT_COUNT];
         for (label, slot) in mean.iter_mut().enumerate() {
@@ -54,12 +72,12 @@ impl ShapePrior {
         add_components(&centred, &mean, &mut modes);
         for (label, point) in mean.iter().enumerate() {
             let Some(point) = point else { continue };
-            modes[label][COMPONENTS] = point * SCALE_SD;
+            modes[label][COMPONENTS] = point * spread.scale;
             for axis in 0..3 {
-                modes[label][COMPONENTS + 1 + axis][axis] = point[axis] * AXIS_SD;
+                modes[label][COMPONENTS + 1 + axis][axis] = point[axis] * spread.axis;
             }
         }
-        ShapePrior { mean, modes, point_sd_m: POINT_SD_M }
+        ShapePrior { mean, modes, point_sd_m: spread.point_m }
     }
 
     /// Where the key point with this label is on a car with these coefficients, m.
@@ -130,7 +148,7 @@ mod tests {
     #[test]
     fn every_known_model_is_a_likely_shape() {
         let models = parse_models(include_str!("../../data/vehicles.json")).unwrap();
-        let prior = ShapePrior::of_models(&models);
+        let prior = ShapePrior::of_models(&models, UNKNOWN_CARS);
         for model in &models {
             // Least squares of the model on the modes; scales also explain a part.
             let centred = centre(model);

@@ -13,6 +13,18 @@ use nalgebra::SMatrix;
 /// Square information of the camera.
 pub type CameraInformation = SMatrix<f64, CAMERA, CAMERA>;
 
+/// What the data say at an optimum, in Laplace's approximation.
+#[derive(Clone, Copy, Debug)]
+pub struct Information {
+    /// Square information on the camera's unknowns, the vehicles integrated out.
+    pub camera: CameraInformation,
+    /// How many parameters the data determine (the trace of the hat matrix).
+    pub determined: f64,
+    /// Logarithm of the probability of the data under this objective, but for a constant
+    /// that all objectives on the same data share.
+    pub log_evidence: f64,
+}
+
 /// Independent normal priors on the camera's unknowns.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraPrior {
@@ -178,9 +190,8 @@ impl Objective {
         Some((camera, vehicles, cost))
     }
 
-    /// Information on the camera at an estimate, the vehicles integrated out; and how many
-    /// parameters of all the data determine (the trace of the hat matrix).
-    pub fn information(&self, at: &Estimate) -> Option<(CameraInformation, f64)> {
+    /// What the data say at an estimate.
+    pub fn information(&self, at: &Estimate) -> Option<Information> {
         let (mut information, _) = self.camera_terms(&at.camera);
         let blocks = self.blocks(&at.camera, &at.vehicles);
         let mut parts = Vec::with_capacity(blocks.len());
@@ -189,16 +200,25 @@ impl Objective {
             information += block.cc - block.cv * part.gain;
             parts.push(part);
         }
-        let covariance = information.cholesky()?.inverse();
+        let factor = information.cholesky()?;
+        let covariance = factor.inverse();
+        let mut log_determinant = 2.0 * factor.l().diagonal().map(f64::ln).sum();
         let prior = self.prior.sd.map(|sd| 1.0 / (sd * sd));
         let mut determined = CAMERA as f64 - covariance.diagonal().component_mul(&prior).sum();
         for (block, part) in blocks.iter().zip(&parts) {
-            let own = block.vv.cholesky()?.inverse();
+            let factor = block.vv.cholesky()?;
+            log_determinant += 2.0 * factor.l().diagonal().map(f64::ln).sum();
+            let own = factor.inverse();
             let full = own + part.gain * covariance * part.gain.transpose();
             let prior = super::residuals::vehicle_prior(self.shift_sd_px);
             determined += VEHICLE as f64 - full.diagonal().component_mul(&prior).sum();
         }
-        Some((information, determined))
+        let noise: f64 = self.observed.iter().flat_map(|o| &o.sd_px).map(|sd| 2.0 * sd.ln()).sum();
+        Some(Information {
+            camera: information,
+            determined,
+            log_evidence: -at.cost - 0.5 * log_determinant - noise,
+        })
     }
 }
 

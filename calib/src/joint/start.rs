@@ -6,7 +6,6 @@
 use super::scene::{CameraState, VehicleState};
 use super::shape::{Coefficients, ShapePrior};
 use crate::camera::Lens;
-use crate::candidates;
 use crate::epnp;
 use crate::pose_refinement::{Free, refine};
 use crate::vehicle::{Pair, Vehicle};
@@ -39,7 +38,6 @@ pub fn at_focal_length(
             .collect();
         let best = epnp::solve(&pairs, &lens)
             .into_iter()
-            .chain(candidates::best_subset(&pairs, &lens))
             .filter_map(|(pose, _)| refine(&pairs, lens, pose, Free::Pose))
             .filter(|r| r.pose.camera_centre().z > 0.0 && r.rms_px < limit)
             .min_by(|a, b| a.rms_px.total_cmp(&b.rms_px));
@@ -56,9 +54,16 @@ pub fn at_focal_length(
     let tilt = (-up.z).clamp(-1.0, 1.0).asin().max(MIN_TILT);
     let roll = up.x.atan2(-up.y);
     let log_height = median(heights).ln();
-    let camera = CameraState { log_f: f.ln(), tilt, roll, log_height, k1: 0.0 };
+    let mut camera =
+        CameraState { log_f: f.ln(), tilt, roll, log_height, ..CameraState::default() };
     let states = vehicles.iter().map(|v| on_road(&camera, image_size, v, shape));
-    Some((camera, states.collect::<Option<Vec<_>>>()?))
+    let states = states.collect::<Option<Vec<_>>>()?;
+    // The road's heading: mean of the doubled angles, since traffic may oppose.
+    let (sine, cosine) = states
+        .iter()
+        .fold((0.0, 0.0), |(s, c), v| (s + (2.0 * v.yaw).sin(), c + (2.0 * v.yaw).cos()));
+    camera.heading = 0.5 * sine.atan2(cosine);
+    Some((camera, states))
 }
 
 /// A start needs the road in view: at least this far below the horizontal, rad.

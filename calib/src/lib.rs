@@ -33,6 +33,7 @@ pub mod model_matching;
 pub mod output;
 pub mod pose_refinement;
 pub mod problem;
+pub mod registration;
 pub mod stages;
 pub mod trust;
 pub mod validation;

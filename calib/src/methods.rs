@@ -7,6 +7,7 @@ use crate::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
 use crate::camera::{Camera, Pose};
 use crate::error::{Error, Result};
 use crate::fine_tuning;
+use crate::joint::{self, cues::RoadCues};
 use crate::loss::{Form, Weights, pack};
 use crate::model_matching::{Bounds, Matched};
 use crate::problem::{FocalPrior, Problem};
@@ -23,6 +24,8 @@ pub enum Method {
     Cg,
     /// The paper's first two stages (its ablation "VM").
     Vm,
+    /// One camera over one road, all vehicles at once; states its own error.
+    Joint,
     /// EPnP at the default focal length; the same as `cg`.
     Epnp,
 }
@@ -34,6 +37,7 @@ impl Method {
             Method::Mvcalib => "mvcalib",
             Method::Cg => "cg",
             Method::Vm => "vm",
+            Method::Joint => "joint",
             Method::Epnp => "epnp",
         }
     }
@@ -54,12 +58,28 @@ pub struct Options {
     pub f0: Option<f64>,
     /// Seed of the random numbers.
     pub seed: u64,
+    /// Estimate radial distortion (joint only).
+    pub distortion: bool,
+    /// Standard deviation of the camera's sway between pictures, px (joint only).
+    pub sway_px: f64,
+    /// Lines and marks on the road (joint only).
+    pub cues: RoadCues,
 }
 
 impl Options {
     /// The paper's settings of a method.
     pub fn of(method: Method) -> Self {
-        Options { method, form: Form::Paper, alpha: 6.0, tau: 0.0, f0: None, seed: 0 }
+        Options {
+            method,
+            form: Form::Paper,
+            alpha: 6.0,
+            tau: 0.0,
+            f0: None,
+            seed: 0,
+            distortion: false,
+            sway_px: 0.0,
+            cues: RoadCues::default(),
+        }
     }
 
     fn settings(&self, problem: &Problem) -> Settings {
@@ -85,10 +105,43 @@ pub fn calibrate(
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Calibration> {
     let start = Instant::now();
-    let settings = options.settings(problem);
-    let mut calibration = of_stages(problem, options, &settings, progress)?;
+    let mut calibration = match options.method {
+        Method::Joint => of_joint(problem, options, progress)?,
+        _ => of_stages(problem, options, &options.settings(problem), progress)?,
+    };
     calibration.seed = options.seed;
     calibration.wall_time_s = start.elapsed().as_secs_f64();
+    Ok(calibration)
+}
+
+fn of_joint(
+    problem: &Problem,
+    options: &Options,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Result<Calibration> {
+    progress(Step::Joint);
+    let Options { f0, distortion, sway_px, .. } = *options;
+    let settings = joint::Settings { f0, distortion, sway_px, cues: options.cues.clone() };
+    let joint = joint::calibrate(problem, &settings)?;
+    let camera = joint.camera();
+    let mut calibration = Calibration::of_camera(&camera, options.method.name());
+    calibration.loss = Some(joint.estimate.cost);
+    calibration.rel_err = joint.rel_err();
+    calibration.evaluations = joint.evaluations;
+    let named = || problem.vehicles.iter().map(|v| v.name.as_str()).zip(&joint.misfit_px);
+    calibration.vehicles = named()
+        .map(|(name, misfit)| VehicleMatch {
+            name: name.to_owned(),
+            model: None,
+            rms_px: Some(*misfit),
+        })
+        .collect();
+    calibration.uncertainty = Some(joint.uncertainty());
+    let worst = named().max_by(|a, b| a.1.total_cmp(b.1)).map(|(name, misfit)| (name, *misfit));
+    // A length that cannot be stated is no better than one that is badly uncertain.
+    let rel_err = Some(calibration.rel_err.unwrap_or(f64::NAN));
+    let evidence = Evidence { rel_err, worst, focal_bounds: None };
+    calibration.trust = verdict(problem, &camera, &evidence);
     Ok(calibration)
 }
 
@@ -106,7 +159,7 @@ fn of_stages(
         Method::Vm => {
             (stages.best_matched(problem, weights).ok_or_else(none)?, Some(settings.focal.matching))
         }
-        Method::Cg | Method::Epnp => {
+        Method::Cg | Method::Epnp | Method::Joint => {
             (stages.best_candidate(problem, weights).ok_or_else(none)?, None)
         }
     };
@@ -115,7 +168,7 @@ fn of_stages(
     calibration.vehicles = matches(problem, &stages.matched);
     calibration.evaluations = stages.evaluations();
     calibration.stages = Some(losses(problem, &stages, weights));
-    let evidence = Evidence { rel_err: None, misfit_px: None, focal_bounds: bounds };
+    let evidence = Evidence { rel_err: None, worst: None, focal_bounds: bounds };
     calibration.trust = verdict(problem, &camera, &evidence);
     Ok(calibration)
 }

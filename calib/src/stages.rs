@@ -66,6 +66,8 @@ impl Settings {
 /// A step of the work, for progress on a terminal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
+    /// The joint method has begun.
+    Joint,
     /// Stage 1 has ended.
     Candidates,
     /// One more of so many searches of stage 2 has ended.

@@ -5,6 +5,7 @@
 
 use super::scene::{CAMERA, CameraState};
 use crate::camera::Camera;
+use crate::labelme::LinePair;
 use crate::marks::Segment;
 use nalgebra::{DMatrix, DVector, Vector2, Vector3};
 
@@ -13,7 +14,7 @@ use nalgebra::{DMatrix, DVector, Vector2, Vector3};
 pub struct RoadCues {
     /// Pairs of lines with a constant unknown spacing: points (px) of the one and the
     /// other. No vanishing point is used, so the lines may curve.
-    pub line_pairs: Vec<[Vec<Vector2<f64>>; 2]>,
+    pub line_pairs: Vec<LinePair>,
     /// Segments of known length.
     pub segments: Vec<Segment>,
 }
@@ -139,7 +140,7 @@ impl RoadCues {
 }
 
 /// Distance (m) of each point of the first line from the second.
-fn spacings(view: &Camera, [first, second]: &[Vec<Vector2<f64>>; 2]) -> Option<Vec<f64>> {
+fn spacings(view: &Camera, [first, second]: &LinePair) -> Option<Vec<f64>> {
     let second = on_ground(view, second)?;
     Some(on_ground(view, first)?.iter().map(|p| distance(p, &second)).collect())
 }

@@ -15,6 +15,7 @@ pub mod solver;
 pub mod start;
 pub mod uncertainty;
 
+use crate::calibration::Uncertainty;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::problem::Problem;
@@ -67,6 +68,20 @@ impl Joint {
     /// The calibrated camera.
     pub fn camera(&self) -> Camera {
         self.estimate.camera.camera(self.image_size)
+    }
+
+    /// Standard errors and covariance in the calibration file's terms.
+    pub fn uncertainty(&self) -> Uncertainty {
+        let CameraState { log_f, log_height, .. } = self.estimate.camera;
+        let c = &self.covariance;
+        Uncertainty {
+            f_px: log_f.exp() * c.sd(0),
+            tilt_rad: c.sd(1),
+            roll_rad: c.sd(2),
+            height_m: log_height.exp() * c.sd(3),
+            label_sd_px: self.label_sd_px,
+            covariance: std::array::from_fn(|a| std::array::from_fn(|b| c.0[(a, b)])),
+        }
     }
 
     /// Standard error of a length on the road, as a part of it, where the vehicles stand.

@@ -131,11 +131,10 @@ fn add_components(
     let scale = ((centred.len() - 1) as f64).sqrt();
     let svd = deviations.svd(true, false);
     let Some(u) = svd.u else { return };
-    for component in 0..COMPONENTS.min(svd.singular_values.len()) {
-        let sd = svd.singular_values[component] / scale;
-        for (row, &label) in common.iter().enumerate() {
-            let column = u.fixed_view::<3, 1>(3 * row, component);
-            modes[label][component] = column * sd;
+    for (row, &label) in common.iter().enumerate() {
+        for (component, mode) in modes[label][..COMPONENTS].iter_mut().enumerate() {
+            let Some(value) = svd.singular_values.get(component) else { continue };
+            *mode = u.fixed_view::<3, 1>(3 * row, component) * (value / scale);
         }
     }
 }

@@ -23,8 +23,12 @@ use rand_distr::{Distribution, StandardNormal};
 pub enum Fleet {
     /// Exactly the known models.
     Known,
-    /// Like them, but none of them: overall size 4 %, each axis 3 %, each key point 5 cm.
+    /// Like them, but none of them: overall size 4 %, each axis 3 %, each key point 5 cm,
+    /// every car on its own.
     Unknown,
+    /// The same about another mean: the fleet as a whole differs by 3 % in size and 2 %
+    /// along each axis, which no method can see.
+    Foreign,
 }
 
 /// What kind of scene.
@@ -85,6 +89,7 @@ fn attempt(kind: &Kind, models: &[VehicleModel], rng: &mut ChaCha8Rng) -> Option
     let far = 2.6 * near;
     // The nearest vehicle stands low in the picture.
     let tilt = (h / near).atan() - (0.40 * height / f).atan();
+    let fleet = fleet_size(kind.fleet, rng);
     let roll = 2f64.to_radians() * normal(rng);
     let state =
         CameraState { log_f: f.ln(), tilt, roll, log_height: h.ln(), ..CameraState::default() };
@@ -95,13 +100,22 @@ fn attempt(kind: &Kind, models: &[VehicleModel], rng: &mut ChaCha8Rng) -> Option
         let found = (0..ATTEMPTS).find_map(|_| {
             let y = near * rng.random_range(0.0..(far / near).ln()).exp();
             let x = rng.random_range(-6.0..6.0);
-            vehicle(kind, models, &truth, &name, Vector2::new(x, y), rng)
+            vehicle(kind, models, &truth, &name, Vector2::new(x, y), fleet, rng)
         })?;
         vehicles.push(found);
     }
     let marks = marks(kind, &truth, near, far)?;
     let problem = Problem::new(kind.image_size, vehicles, models.to_vec()).ok()?;
     Some(MadeScene { problem, truth, marks })
+}
+
+/// Size of the mean car along each axis against the models'.
+fn fleet_size(fleet: Fleet, rng: &mut ChaCha8Rng) -> Vector3<f64> {
+    if fleet != Fleet::Foreign {
+        return Vector3::repeat(1.0);
+    }
+    let size = (0.03 * normal(rng)).exp();
+    Vector3::from_fn(|_, _| size * (0.02 * normal(rng)).exp())
 }
 
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
@@ -116,10 +130,11 @@ fn vehicle(
     camera: &Camera,
     name: &str,
     at: Vector2<f64>,
+    fleet: Vector3<f64>,
     rng: &mut ChaCha8Rng,
 ) -> Option<Vehicle> {
     let model = &models[rng.random_range(0..models.len())];
-    let unknown = if kind.fleet == Fleet::Unknown { 1.0 } else { 0.0 };
+    let unknown = if kind.fleet == Fleet::Known { 0.0 } else { 1.0 };
     let size = (0.04 * unknown * normal(rng)).exp();
     let axes = Vector3::from_fn(|_, _| size * (0.03 * unknown * normal(rng)).exp());
     let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), 6f64.to_radians() * normal(rng));
@@ -130,7 +145,7 @@ fn vehicle(
         let scatter = Vector3::from_fn(|_, _| 0.05 * unknown * normal(rng));
         let noise = Vector2::from_fn(|_, _| kind.noise_px * normal(rng));
         let Some(point) = point.filter(|_| label != hidden) else { continue };
-        let shape = point.component_mul(&axes) + scatter;
+        let shape = point.component_mul(&axes).component_mul(&fleet) + scatter;
         // The model's origin is at its back; put its middle where the vehicle stands.
         let p = turn * (shape + Vector3::new(-0.9, 2.25, 0.0)) + Vector3::new(at.x, at.y, 0.0);
         let uv = camera.project(&p)? + noise;

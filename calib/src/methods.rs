@@ -121,7 +121,8 @@ fn of_joint(
 ) -> Result<Calibration> {
     progress(Step::Joint);
     let Options { f0, distortion, sway_px, .. } = *options;
-    let settings = joint::Settings { f0, distortion, sway_px, cues: options.cues.clone() };
+    let cues = options.cues.clone();
+    let settings = joint::Settings { f0, distortion, sway_px, cues, ..Default::default() };
     let joint = joint::calibrate(problem, &settings)?;
     let camera = joint.camera();
     let mut calibration = Calibration::of_camera(&camera, options.method.name());

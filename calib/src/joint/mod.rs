@@ -22,7 +22,7 @@ use crate::problem::Problem;
 use cues::{CueNoise, RoadCues};
 use rayon::prelude::*;
 use residuals::Observed;
-use scene::{CameraState, CameraStep};
+use scene::{CameraState, CameraStep, FLEET_AT};
 use shape::ShapePrior;
 use solver::{CameraInformation, CameraPrior, Estimate, Objective};
 use uncertainty::CameraCovariance;
@@ -36,13 +36,26 @@ pub struct Settings {
     pub distortion: bool,
     /// Standard deviation of the camera's sway between pictures, px.
     pub sway_px: f64,
+    /// How far a fleet as a whole may differ from the models given, in standard deviations
+    /// of a single car (see [`shape::UNKNOWN_CARS`]). No key point shows it: it is the
+    /// floor of the stated error.
+    pub fleet: f64,
     /// Lines and marks on the road.
     pub cues: RoadCues,
 }
 
+/// A city's cars against five models of another market: 3 % in size, 2 % along each axis.
+pub const FLEET_DIFFERENCE: f64 = 0.7;
+
 impl Default for Settings {
     fn default() -> Self {
-        Settings { f0: None, distortion: false, sway_px: 0.0, cues: RoadCues::default() }
+        Settings {
+            f0: None,
+            distortion: false,
+            sway_px: 0.0,
+            fleet: FLEET_DIFFERENCE,
+            cues: RoadCues::default(),
+        }
     }
 }
 
@@ -108,16 +121,19 @@ const CURVATURE_SD: f64 = 0.005;
 
 /// The prior of a camera over a road: focal length a few to one (the median lens is 1.1
 /// widths), height 12 m within a factor of 1.8, roll 3 degrees, tilt open.
-fn prior(width_px: f64, distortion: bool) -> CameraPrior {
-    let k1_sd = if distortion { 0.1 } else { 1e-9 };
+fn prior(width_px: f64, settings: &Settings) -> CameraPrior {
+    let k1_sd = if settings.distortion { 0.1 } else { 1e-9 };
     let mean = [(1.1 * width_px).ln(), 0.35, 0.0, 12f64.ln(), 0.0, 0.0, 0.0];
     let sd = [0.6, 0.5, 3f64.to_radians(), 0.6, k1_sd, 10.0, CURVATURE_SD];
-    CameraPrior { mean: CameraStep::from(mean), sd: CameraStep::from(sd) }
+    let of = |own: [f64; FLEET_AT], fleet: f64| {
+        CameraStep::from_fn(|k, _| own.get(k).copied().unwrap_or(fleet))
+    };
+    CameraPrior { mean: of(mean, 0.0), sd: of(sd, settings.fleet.max(1e-6)) }
 }
 
 /// How diverse the fleet may be, as parts of [`shape::UNKNOWN_CARS`]: (nearly) the known
-/// models themselves, something between, or none of them. The data choose.
-pub const DIVERSITIES: [f64; 3] = [0.1, 0.5, 1.0];
+/// models themselves, something between, none of them, or twice as diverse. The data choose.
+pub const DIVERSITIES: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
 
 /// The fit under one assumption about the fleet.
 struct Fit {
@@ -151,7 +167,7 @@ fn objective(problem: &Problem, settings: &Settings, spread: shape::Spread) -> O
         image_size: problem.image_size,
         observed: problem.vehicles.iter().map(|v| Observed::of(v, &shape, sd_px)).collect(),
         shape,
-        prior: prior(width, settings.distortion),
+        prior: prior(width, settings),
         shift_sd_px: settings.sway_px.max(MIN_SWAY_PX),
         // The cues join later: their noise needs a camera that sees them.
         cues: RoadCues::default(),
@@ -216,13 +232,12 @@ fn fit(
     let undetermined = || lost("the data do not determine a camera; label more vehicles");
     let information = objective.information(&best).ok_or_else(undetermined)?;
     let covariance = information.camera.try_inverse().ok_or_else(undetermined)?;
-    let view = best.camera.camera(size);
     let misfit_px = objective
         .observed
         .iter()
         .zip(&best.vehicles)
         .map(|(o, v)| {
-            let misfits = o.misfits(&view, v, &objective.shape);
+            let misfits = o.misfits(&best.camera, size, v, &objective.shape);
             (misfits.iter().map(|(r2, _)| r2).sum::<f64>() / misfits.len() as f64).sqrt()
         })
         .collect();
@@ -268,13 +283,13 @@ fn average(fits: Vec<Fit>, evaluations: usize, image_size: [u32; 2]) -> Joint {
 /// The noise solves sum r^2 / (sd^2 + (f/z point_sd)^2) = observations - determined
 /// parameters.
 fn update_noise(objective: &mut Objective, at: &Estimate, now_px: f64) -> f64 {
-    let view = at.camera.camera(objective.image_size);
+    let size = objective.image_size;
     let point_sd = objective.shape.point_sd_m;
     let misfits: Vec<Vec<(f64, f64)>> = objective
         .observed
         .iter()
         .zip(&at.vehicles)
-        .map(|(o, v)| o.misfits(&view, v, &objective.shape))
+        .map(|(o, v)| o.misfits(&at.camera, size, v, &objective.shape))
         .collect();
     let count = 2 * misfits.iter().map(Vec::len).sum::<usize>();
     let determined = objective.information(at).map_or(0.5 * count as f64, |i| i.determined);

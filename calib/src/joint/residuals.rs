@@ -3,9 +3,9 @@
 //! Owns the key-point residuals with their robust weights and the vehicles' priors. Does
 //! not own the road cues (see `cues`) nor the solver.
 
-use super::scene::{CAMERA, CameraState, CameraStep, VEHICLE, VehicleState, VehicleStep};
-use super::shape::{MODES, ShapePrior};
-use crate::camera::{Camera, Lens};
+use super::scene::{CAMERA, CameraState, CameraStep, FLEET_AT, VEHICLE, VehicleState, VehicleStep};
+use super::shape::{FLEET, MODES, ShapePrior};
+use crate::camera::Lens;
 use crate::vehicle::Vehicle;
 use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 
@@ -60,11 +60,12 @@ impl Observed {
         let view = camera.camera(image_size);
         let turn = turn(vehicle.yaw);
         let off_road = heading_residual(camera, vehicle);
+        let shape = camera.shape_of(vehicle);
         let mut cost = 0.5 * robust(off_road * off_road).0
             + 0.5 * vehicle.shape.norm_squared()
             + 0.5 * vehicle.shift.norm_squared() / (shift_sd_px * shift_sd_px);
         for (&(label, uv), sd) in self.points.iter().zip(&self.sd_px) {
-            let p = on_road(&turn, vehicle, prior.point(label, &vehicle.shape)?);
+            let p = on_road(&turn, vehicle, prior.point(label, &shape)?);
             let r = (view.project(&p)? + vehicle.shift - uv) / *sd;
             cost += 0.5 * robust(r.norm_squared()).0;
         }
@@ -84,10 +85,11 @@ impl Observed {
         let orientation = camera.orientation();
         let height = camera.height_m();
         let turn = turn(vehicle.yaw);
+        let coefficients = camera.shape_of(vehicle);
         let mut block = Block::of_priors(vehicle, shift_sd_px);
         block.add_heading(camera, vehicle);
         for (&(label, uv), sd) in self.points.iter().zip(&self.sd_px) {
-            let Some(shape) = prior.point(label, &vehicle.shape) else { continue };
+            let Some(shape) = prior.point(label, &coefficients) else { continue };
             let p = on_road(&turn, vehicle, shape);
             let from_camera = p - Vector3::new(0.0, 0.0, height);
             let p_cam = orientation.rotation * from_camera;
@@ -110,6 +112,8 @@ impl Observed {
             for (k, mode) in prior.modes(label).iter().enumerate() {
                 jv.set_column(3 + k, &(by_world * (turn * mode)));
             }
+            let fleet = jv.fixed_columns::<FLEET>(3 + MODES - FLEET).into_owned();
+            jc.fixed_columns_mut::<FLEET>(FLEET_AT).copy_from(&fleet);
             jv[(0, 3 + MODES)] = 1.0;
             jv[(1, 4 + MODES)] = 1.0;
 
@@ -129,18 +133,21 @@ impl Observed {
     /// the noise is estimated from.
     pub fn misfits(
         &self,
-        camera: &Camera,
+        camera: &CameraState,
+        image_size: [u32; 2],
         vehicle: &VehicleState,
         prior: &ShapePrior,
     ) -> Vec<(f64, f64)> {
+        let view = camera.camera(image_size);
+        let shape = camera.shape_of(vehicle);
         let turn = turn(vehicle.yaw);
         self.points
             .iter()
             .filter_map(|&(label, uv)| {
-                let p = on_road(&turn, vehicle, prior.point(label, &vehicle.shape)?);
-                let p_cam = camera.pose.transform(&p);
-                let r = camera.lens.project(&p_cam)? + vehicle.shift - uv;
-                Some((r.norm_squared(), camera.lens.f / p_cam.z))
+                let p = on_road(&turn, vehicle, prior.point(label, &shape)?);
+                let p_cam = view.pose.transform(&p);
+                let r = view.lens.project(&p_cam)? + vehicle.shift - uv;
+                Some((r.norm_squared(), view.lens.f / p_cam.z))
             })
             .collect()
     }

@@ -4,13 +4,15 @@
 //! camera looks along +Y (pan 0 is a free choice), so a uniform slope or bank of the road
 //! is part of tilt and roll. Does not own what is observed.
 
-use super::shape::{Coefficients, MODES};
+use super::shape::{Coefficients, FLEET, MODES};
 use crate::camera::{Camera, Lens, Pose};
 use nalgebra::{Matrix3, Rotation3, SVector, Vector2, Vector3};
 
-/// Unknowns that all vehicles share: log f, tilt, roll, log height, k1 of the camera, then
-/// heading and curvature of the road.
-pub const CAMERA: usize = 7;
+/// Unknowns that all vehicles share: log f, tilt, roll, log height, k1 of the camera;
+/// heading and curvature of the road; the fleet's own size.
+pub const CAMERA: usize = FLEET_AT + FLEET;
+/// Where the fleet's unknowns start.
+pub const FLEET_AT: usize = 7;
 /// Unknowns of a vehicle: x, y, yaw, shape coefficients, shift of its picture (du, dv).
 pub const VEHICLE: usize = 3 + MODES + 2;
 
@@ -36,6 +38,9 @@ pub struct CameraState {
     pub heading: f64,
     /// Change of the road's heading with the distance from the camera, rad per m.
     pub curvature: f64,
+    /// How the fleet as a whole differs from the mean shape: coefficients of the last
+    /// [`FLEET`] modes, in a single car's standard deviations.
+    pub fleet: SVector<f64, FLEET>,
 }
 
 /// A vehicle's unknowns.
@@ -62,6 +67,14 @@ pub struct Orientation {
 }
 
 impl CameraState {
+    /// A vehicle's shape with the fleet's part in it.
+    pub fn shape_of(&self, vehicle: &VehicleState) -> Coefficients {
+        let mut shape = vehicle.shape;
+        let mut last = shape.fixed_rows_mut::<FLEET>(MODES - FLEET);
+        last += self.fleet;
+        shape
+    }
+
     /// From the vector of the shared unknowns, in the order of the fields.
     pub fn of_vector(v: &CameraStep) -> Self {
         CameraState {
@@ -72,13 +85,15 @@ impl CameraState {
             k1: v[4],
             heading: v[5],
             curvature: v[6],
+            fleet: v.fixed_rows::<FLEET>(FLEET_AT).into_owned(),
         }
     }
 
     /// As the vector of the shared unknowns.
     pub fn vector(&self) -> CameraStep {
-        let CameraState { log_f, tilt, roll, log_height, k1, heading, curvature } = *self;
-        CameraStep::from([log_f, tilt, roll, log_height, k1, heading, curvature])
+        let CameraState { log_f, tilt, roll, log_height, k1, heading, curvature, fleet } = *self;
+        let own = [log_f, tilt, roll, log_height, k1, heading, curvature];
+        CameraStep::from_iterator(own.into_iter().chain(fleet.iter().copied()))
     }
 
     /// Height over the road, m.

@@ -14,7 +14,9 @@ use nalgebra::{DMatrix, Vector3};
 /// Principal components kept: five models span four.
 pub const COMPONENTS: usize = 4;
 /// Ways to differ: components, overall scale, scale along x, y, z.
-pub const MODES: usize = COMPONENTS + 4;
+pub const MODES: usize = COMPONENTS + FLEET;
+/// The last modes, scale and axes, are also what a whole fleet may differ in.
+pub const FLEET: usize = 4;
 
 /// How far cars of a fleet are from what the known models span.
 #[derive(Clone, Copy, Debug, PartialEq)]

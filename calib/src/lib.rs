@@ -21,6 +21,7 @@ pub mod cmaes;
 pub mod epnp;
 pub mod error;
 pub mod fine_tuning;
+pub mod gpnp;
 pub mod joint;
 pub mod labelme;
 pub mod lane_axis;
@@ -36,6 +37,7 @@ pub mod problem;
 pub mod registration;
 pub mod stages;
 pub mod trust;
+pub mod upnp;
 pub mod validation;
 pub mod vehicle;
 

@@ -7,12 +7,15 @@ use crate::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
 use crate::camera::{Camera, Pose};
 use crate::error::{Error, Result};
 use crate::fine_tuning;
+use crate::gpnp;
 use crate::joint::{self, cues::RoadCues};
 use crate::loss::{Form, Weights, pack};
 use crate::model_matching::{Bounds, Matched};
 use crate::problem::{FocalPrior, Problem};
+use crate::single_vehicle::{self, Solver};
 use crate::stages::{self, Settings, Stages, Step};
 use crate::trust::{Evidence, verdict};
+use crate::upnp;
 use std::time::Instant;
 
 /// A calibration method by its name on the command line.
@@ -28,6 +31,14 @@ pub enum Method {
     Joint,
     /// EPnP at the default focal length; the same as `cg`.
     Epnp,
+    /// Focal length and pose of single vehicles, Penate-Sanchez et al. 2013.
+    Upnp,
+    /// The same with Gauss-Newton.
+    UpnpGn,
+    /// Focal length and pose of single vehicles, Zheng et al. 2014.
+    Gpnp,
+    /// The same with Gauss-Newton.
+    GpnpGn,
 }
 
 impl Method {
@@ -39,6 +50,10 @@ impl Method {
             Method::Vm => "vm",
             Method::Joint => "joint",
             Method::Epnp => "epnp",
+            Method::Upnp => "upnp",
+            Method::UpnpGn => "upnp-gn",
+            Method::Gpnp => "gpnp",
+            Method::GpnpGn => "gpnp-gn",
         }
     }
 }
@@ -107,6 +122,10 @@ pub fn calibrate(
     let start = Instant::now();
     let mut calibration = match options.method {
         Method::Joint => of_joint(problem, options, progress)?,
+        Method::Upnp => of_single(problem, options, upnp::solve, false)?,
+        Method::UpnpGn => of_single(problem, options, upnp::solve, true)?,
+        Method::Gpnp => of_single(problem, options, gpnp::solve, false)?,
+        Method::GpnpGn => of_single(problem, options, gpnp::solve, true)?,
         _ => of_stages(problem, options, &options.settings(problem), progress)?,
     };
     calibration.seed = options.seed;
@@ -146,6 +165,26 @@ fn of_joint(
     Ok(calibration)
 }
 
+fn of_single(
+    problem: &Problem,
+    options: &Options,
+    solver: Solver,
+    gauss_newton: bool,
+) -> Result<Calibration> {
+    let weights = options.settings(problem).weights;
+    let name = options.method.name();
+    let (matched, best) = single_vehicle::solve(problem, name, solver, gauss_newton, weights)?;
+    let Matched { f, pose, .. } = matched[best];
+    let camera = Camera { image_size: problem.image_size, lens: problem.lens(f), pose };
+    let mut calibration = Calibration::of_camera(&camera, name);
+    calibration.loss = fine_tuning_loss(problem, &matched, weights, &camera);
+    calibration.vehicles = matches(problem, &matched);
+    calibration.evaluations = problem.vehicles.len() * problem.models.len();
+    // A single distant car fits nearly any focal length, whichever the solver.
+    calibration.trust = format!("{name} looks at one vehicle; use joint or mvcalib");
+    Ok(calibration)
+}
+
 fn of_stages(
     problem: &Problem,
     options: &Options,
@@ -160,12 +199,10 @@ fn of_stages(
         Method::Vm => {
             (stages.best_matched(problem, weights).ok_or_else(none)?, Some(settings.focal.matching))
         }
-        Method::Cg | Method::Epnp | Method::Joint => {
-            (stages.best_candidate(problem, weights).ok_or_else(none)?, None)
-        }
+        _ => (stages.best_candidate(problem, weights).ok_or_else(none)?, None),
     };
     let mut calibration = Calibration::of_camera(&camera, options.method.name());
-    calibration.loss = Some(fine_tuning_loss(problem, &stages.matched, weights, &camera));
+    calibration.loss = fine_tuning_loss(problem, &stages.matched, weights, &camera);
     calibration.vehicles = matches(problem, &stages.matched);
     calibration.evaluations = stages.evaluations();
     calibration.stages = Some(losses(problem, &stages, weights));
@@ -179,9 +216,10 @@ fn fine_tuning_loss(
     matched: &[Matched],
     weights: Weights,
     camera: &Camera,
-) -> f64 {
+) -> Option<f64> {
     let loss = fine_tuning::loss_of(problem, matched, weights);
-    loss.evaluate(0, &pack(&camera.pose, camera.lens.f))
+    let loss = loss.evaluate(0, &pack(&camera.pose, camera.lens.f));
+    loss.is_finite().then_some(loss)
 }
 
 fn matches(problem: &Problem, matched: &[Matched]) -> Vec<VehicleMatch> {

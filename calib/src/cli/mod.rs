@@ -4,6 +4,7 @@
 //! the work.
 
 mod calibrate;
+mod compare;
 mod table;
 mod verify;
 
@@ -28,6 +29,8 @@ pub enum Command {
     Calibrate(calibrate::Arguments),
     /// Measure a calibration against marks of known length.
     Verify(verify::Arguments),
+    /// Print the paper's table of methods over made scenes.
+    Compare(compare::Arguments),
     /// Make the lane table from a calibration and lane polygons.
     Table(table::Arguments),
 }
@@ -37,6 +40,7 @@ pub fn run(command: Command) -> Result<()> {
     match command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Verify(arguments) => verify::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
         Command::Table(arguments) => table::run(&arguments),
     }
 }

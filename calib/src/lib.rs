@@ -17,6 +17,7 @@
 pub mod calibration;
 pub mod camera;
 pub mod candidates;
+pub mod canvas;
 pub mod cmaes;
 pub mod compare;
 pub mod epnp;
@@ -36,6 +37,7 @@ pub mod output;
 pub mod pose_refinement;
 pub mod problem;
 pub mod registration;
+pub mod report;
 pub mod single_vehicle;
 pub mod stages;
 pub mod trust;

@@ -4,6 +4,7 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 use mvcalib::calibration::{Calibration, TRUSTED};
+use mvcalib::canvas::picture_size;
 use mvcalib::error::{Error, Result};
 use mvcalib::joint::cues::RoadCues;
 use mvcalib::labelme::{LabelFile, read_vehicles};
@@ -157,11 +158,10 @@ fn check_pictures(folder: &Path, expected: [u32; 2]) -> Result<()> {
             continue;
         }
         any = true;
-        let (w, h) = image::image_dimensions(&path)
-            .map_err(|e| Error::Picture { path: path.clone(), detail: e.to_string() })?;
-        if [w, h] != expected {
+        let actual = picture_size(&path)?;
+        if actual != expected {
             let what = path.display().to_string();
-            return Err(Error::ImageSize { what, actual: [w, h], expected });
+            return Err(Error::ImageSize { what, actual, expected });
         }
     }
     if any {

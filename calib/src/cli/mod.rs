@@ -5,6 +5,7 @@
 
 mod calibrate;
 mod compare;
+mod report;
 mod table;
 mod verify;
 
@@ -31,6 +32,8 @@ pub enum Command {
     Verify(verify::Arguments),
     /// Print the paper's table of methods over made scenes.
     Compare(compare::Arguments),
+    /// Draw a calibration: one-metre dots, lanes, key points, residuals, losses.
+    Report(report::Arguments),
     /// Make the lane table from a calibration and lane polygons.
     Table(table::Arguments),
 }
@@ -41,6 +44,7 @@ pub fn run(command: Command) -> Result<()> {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Verify(arguments) => verify::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments),
         Command::Table(arguments) => table::run(&arguments),
     }
 }

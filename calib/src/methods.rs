@@ -14,7 +14,7 @@ use crate::model_matching::{Bounds, Matched};
 use crate::problem::{FocalPrior, Problem};
 use crate::single_vehicle::{self, Solver};
 use crate::stages::{self, Settings, Stages, Step};
-use crate::trust::{Evidence, verdict};
+use crate::trust::{Evidence, MIN_VEHICLES, verdict};
 use crate::upnp;
 use std::time::Instant;
 
@@ -161,8 +161,50 @@ fn of_joint(
     // A length that cannot be stated is no better than one that is badly uncertain.
     let rel_err = Some(calibration.rel_err.unwrap_or(f64::NAN));
     let evidence = Evidence { rel_err, worst, focal_bounds: None };
-    calibration.trust = verdict(problem, &camera, &evidence);
+    calibration.trust = match misfit_vehicle(problem, &settings, &joint) {
+        Some(reason) => reason,
+        None => verdict(problem, &camera, &evidence),
+    };
     Ok(calibration)
+}
+
+/// One camera over a road in a thousand is this strange (chi squared of two).
+const STRANGE: f64 = 13.8;
+
+/// Why a strange camera came out: the vehicle without which it would be an ordinary one,
+/// and the key point that lies above the horizon of the others, if one does. A vehicle in
+/// the sky bends the whole camera and still fits; only leaving it out shows it.
+fn misfit_vehicle(
+    problem: &Problem,
+    settings: &joint::Settings,
+    joint: &joint::Joint,
+) -> Option<String> {
+    if joint.strangeness() < STRANGE || problem.vehicles.len() <= MIN_VEHICLES {
+        return None;
+    }
+    let without = |index: usize| {
+        let mut rest = problem.clone();
+        rest.vehicles.remove(index);
+        Some((index, joint::calibrate(&rest, settings).ok()?))
+    };
+    let (index, other) = (0..problem.vehicles.len())
+        .filter_map(without)
+        .min_by(|a, b| a.1.strangeness().total_cmp(&b.1.strangeness()))
+        .filter(|(_, other)| other.strangeness() < STRANGE)?;
+    let (vehicle, with, camera) = (&problem.vehicles[index], joint.camera(), other.camera());
+    let aloft = vehicle.points.iter().find(|p| camera.back_project(&p.uv, 0.0).is_none());
+    let aloft = aloft.map_or(String::new(), |p| {
+        format!(", and its key point {} lies above their horizon", p.label)
+    });
+    Some(format!(
+        "{} does not stand on the road of the others: with it the camera is {:.0} m high with \
+         f {:.0} px, without it {:.0} m and {:.0} px{aloft}",
+        vehicle.name,
+        with.height_m(),
+        with.lens.f,
+        camera.height_m(),
+        camera.lens.f,
+    ))
 }
 
 fn of_single(

@@ -83,6 +83,14 @@ impl Joint {
         self.estimate.camera.camera(self.image_size)
     }
 
+    /// How strange the camera is among cameras over roads: squared standard deviations of
+    /// focal length and height from their priors, together (chi squared of two).
+    pub fn strangeness(&self) -> f64 {
+        let prior = prior(f64::from(self.image_size[0]), &Settings::default());
+        let off = (self.estimate.camera.vector() - prior.mean).component_div(&prior.sd);
+        off[0] * off[0] + off[3] * off[3]
+    }
+
     /// Standard errors and covariance in the calibration file's terms.
     pub fn uncertainty(&self) -> Uncertainty {
         let CameraState { log_f, log_height, .. } = self.estimate.camera;

@@ -147,9 +147,11 @@ pub struct Uncertainty {
     pub tilt_rad: f64,
     /// Standard error of the roll, rad.
     pub roll_rad: f64,
-    /// Covariance of (log f, tilt, roll, log height), row by row. Road lengths depend on
-    /// these four and on nothing else.
-    pub covariance: [[f64; 4]; 4],
+    /// Standard deviation of a label's coordinate as the fit shows it, px.
+    pub label_sd_px: f64,
+    /// Covariance of (log f, tilt, roll, log height, k1), row by row. Road lengths depend
+    /// on these and on nothing else.
+    pub covariance: [[f64; 5]; 5],
 }
 
 impl Calibration {

@@ -63,14 +63,14 @@ pub fn mean_error_px(pairs: &[Pair], lens: &Lens, pose: &Pose) -> f64 {
 }
 
 /// Control points: the centroid and one point along each principal axis (section 3.1).
-struct ControlPoints {
-    points: Vec<Vector3<f64>>,
+pub(crate) struct ControlPoints {
+    pub(crate) points: Vec<Vector3<f64>>,
     /// Maps a point minus the centroid to the weights of control points 1.. .
     weights_from_offset: DMatrix<f64>,
 }
 
 impl ControlPoints {
-    fn of(pairs: &[Pair]) -> Option<Self> {
+    pub(crate) fn of(pairs: &[Pair]) -> Option<Self> {
         let n = pairs.len() as f64;
         let centroid = pairs.iter().map(|p| p.world).sum::<Vector3<f64>>() / n;
         let scatter = pairs
@@ -98,7 +98,7 @@ impl ControlPoints {
     }
 
     /// Weights of all control points, summing to one (Eq. 1 and 2).
-    fn barycentric(&self, p: &Vector3<f64>) -> DVector<f64> {
+    pub(crate) fn barycentric(&self, p: &Vector3<f64>) -> DVector<f64> {
         let rest = &self.weights_from_offset * (p - self.points[0]);
         let mut weights = DVector::zeros(self.points.len());
         weights[0] = 1.0 - rest.sum();
@@ -107,7 +107,7 @@ impl ControlPoints {
     }
 
     /// Squared distances of all pairs of control points, m^2.
-    fn squared_distances(&self) -> Vec<f64> {
+    pub(crate) fn squared_distances(&self) -> Vec<f64> {
         pairs_of(self.points.len())
             .map(|(i, j)| (self.points[i] - self.points[j]).norm_squared())
             .collect()
@@ -115,13 +115,13 @@ impl ControlPoints {
 }
 
 /// All index pairs i < j below n.
-fn pairs_of(n: usize) -> impl Iterator<Item = (usize, usize)> {
+pub(crate) fn pairs_of(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).flat_map(move |i| (i + 1..n).map(move |j| (i, j)))
 }
 
 /// The null vectors v_k of M (Eq. 5 to 8), smallest eigenvalue first. Entry k holds the
 /// camera coordinates of all control points in the k-th vector.
-fn kernel(
+pub(crate) fn kernel(
     pairs: &[Pair],
     alphas: &[DVector<f64>],
     lens: &Lens,

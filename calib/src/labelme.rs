@@ -71,8 +71,36 @@ impl LabelFile {
             .collect())
     }
 
+    /// Pairs of open lines that run side by side: the first with the second, the third with
+    /// the fourth, and so on in file order, px.
+    ///
+    /// # Errors
+    /// When a line has fewer than 3 points, or one is left over.
+    pub fn line_pairs(&self) -> Result<Vec<LinePair>> {
+        let lines = self.lines();
+        let [.., last] = &lines[..] else {
+            return Err(Error::Marks("the file of lane lines holds no linestrip".into()));
+        };
+        if lines.len() % 2 == 1 {
+            let n = lines.len();
+            let last = last.len();
+            return Err(Error::Marks(format!(
+                "{n} lane lines; they go by twos, the last one ({last} points) has no partner"
+            )));
+        }
+        if let Some(k) = lines.iter().position(|l| l.len() < MIN_LINE_POINTS) {
+            let n = lines[k].len();
+            return Err(Error::Marks(format!(
+                "lane line {} has {n} points, trace at least {MIN_LINE_POINTS}",
+                k + 1
+            )));
+        }
+        let mut lines = lines.into_iter();
+        Ok(std::iter::from_fn(|| Some([lines.next()?, lines.next()?])).collect())
+    }
+
     /// The open lines (`linestrip` or `line`) of this file, px.
-    pub fn lines(&self) -> Vec<Vec<Vector2<f64>>> {
+    fn lines(&self) -> Vec<Vec<Vector2<f64>>> {
         self.shapes
             .iter()
             .filter(|s| matches!(s.shape_type.as_str(), "linestrip" | "line"))
@@ -80,6 +108,12 @@ impl LabelFile {
             .collect()
     }
 }
+
+/// Two lines of the road that keep their distance, px.
+pub type LinePair = [Vec<Vector2<f64>>; 2];
+
+/// Fewest points of a traced line: two ends say nothing about a constant spacing.
+const MIN_LINE_POINTS: usize = 3;
 
 fn vehicle_name(stem: &str, group: Option<i64>) -> String {
     group.map_or_else(|| stem.to_owned(), |g| format!("{stem}#{g}"))

@@ -7,11 +7,15 @@ use crate::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
 use crate::camera::{Camera, Pose};
 use crate::error::{Error, Result};
 use crate::fine_tuning;
+use crate::gpnp;
+use crate::joint::{self, cues::RoadCues};
 use crate::loss::{Form, Weights, pack};
 use crate::model_matching::{Bounds, Matched};
 use crate::problem::{FocalPrior, Problem};
+use crate::single_vehicle::{self, Solver};
 use crate::stages::{self, Settings, Stages, Step};
-use crate::trust::{Evidence, verdict};
+use crate::trust::{Evidence, MIN_VEHICLES, verdict};
+use crate::upnp;
 use std::time::Instant;
 
 /// A calibration method by its name on the command line.
@@ -23,8 +27,18 @@ pub enum Method {
     Cg,
     /// The paper's first two stages (its ablation "VM").
     Vm,
+    /// One camera over one road, all vehicles at once; states its own error.
+    Joint,
     /// EPnP at the default focal length; the same as `cg`.
     Epnp,
+    /// Focal length and pose of single vehicles, Penate-Sanchez et al. 2013.
+    Upnp,
+    /// The same with Gauss-Newton.
+    UpnpGn,
+    /// Focal length and pose of single vehicles, Zheng et al. 2014.
+    Gpnp,
+    /// The same with Gauss-Newton.
+    GpnpGn,
 }
 
 impl Method {
@@ -34,7 +48,12 @@ impl Method {
             Method::Mvcalib => "mvcalib",
             Method::Cg => "cg",
             Method::Vm => "vm",
+            Method::Joint => "joint",
             Method::Epnp => "epnp",
+            Method::Upnp => "upnp",
+            Method::UpnpGn => "upnp-gn",
+            Method::Gpnp => "gpnp",
+            Method::GpnpGn => "gpnp-gn",
         }
     }
 }
@@ -54,12 +73,28 @@ pub struct Options {
     pub f0: Option<f64>,
     /// Seed of the random numbers.
     pub seed: u64,
+    /// Estimate radial distortion (joint only).
+    pub distortion: bool,
+    /// Standard deviation of the camera's sway between pictures, px (joint only).
+    pub sway_px: f64,
+    /// Lines and marks on the road (joint only).
+    pub cues: RoadCues,
 }
 
 impl Options {
     /// The paper's settings of a method.
     pub fn of(method: Method) -> Self {
-        Options { method, form: Form::Paper, alpha: 6.0, tau: 0.0, f0: None, seed: 0 }
+        Options {
+            method,
+            form: Form::Paper,
+            alpha: 6.0,
+            tau: 0.0,
+            f0: None,
+            seed: 0,
+            distortion: false,
+            sway_px: 0.0,
+            cues: RoadCues::default(),
+        }
     }
 
     fn settings(&self, problem: &Problem) -> Settings {
@@ -85,10 +120,110 @@ pub fn calibrate(
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Calibration> {
     let start = Instant::now();
-    let settings = options.settings(problem);
-    let mut calibration = of_stages(problem, options, &settings, progress)?;
+    let mut calibration = match options.method {
+        Method::Joint => of_joint(problem, options, progress)?,
+        Method::Upnp => of_single(problem, options, upnp::solve, false)?,
+        Method::UpnpGn => of_single(problem, options, upnp::solve, true)?,
+        Method::Gpnp => of_single(problem, options, gpnp::solve, false)?,
+        Method::GpnpGn => of_single(problem, options, gpnp::solve, true)?,
+        _ => of_stages(problem, options, &options.settings(problem), progress)?,
+    };
     calibration.seed = options.seed;
     calibration.wall_time_s = start.elapsed().as_secs_f64();
+    Ok(calibration)
+}
+
+fn of_joint(
+    problem: &Problem,
+    options: &Options,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Result<Calibration> {
+    progress(Step::Joint);
+    let Options { f0, distortion, sway_px, .. } = *options;
+    let cues = options.cues.clone();
+    let settings = joint::Settings { f0, distortion, sway_px, cues, ..Default::default() };
+    let joint = joint::calibrate(problem, &settings)?;
+    let camera = joint.camera();
+    let mut calibration = Calibration::of_camera(&camera, options.method.name());
+    calibration.loss = Some(joint.estimate.cost);
+    calibration.rel_err = joint.rel_err();
+    calibration.evaluations = joint.evaluations;
+    let named = || problem.vehicles.iter().map(|v| v.name.as_str()).zip(&joint.misfit_px);
+    calibration.vehicles = named()
+        .map(|(name, misfit)| VehicleMatch {
+            name: name.to_owned(),
+            model: None,
+            rms_px: Some(*misfit),
+        })
+        .collect();
+    calibration.uncertainty = Some(joint.uncertainty());
+    let worst = named().max_by(|a, b| a.1.total_cmp(b.1)).map(|(name, misfit)| (name, *misfit));
+    // A length that cannot be stated is no better than one that is badly uncertain.
+    let rel_err = Some(calibration.rel_err.unwrap_or(f64::NAN));
+    let evidence = Evidence { rel_err, worst, focal_bounds: None };
+    calibration.trust = match misfit_vehicle(problem, &settings, &joint) {
+        Some(reason) => reason,
+        None => verdict(problem, &camera, &evidence),
+    };
+    Ok(calibration)
+}
+
+/// One camera over a road in a thousand is this strange (chi squared of two).
+const STRANGE: f64 = 13.8;
+
+/// Why a strange camera came out: the vehicle without which it would be an ordinary one,
+/// and the key point that lies above the horizon of the others, if one does. A vehicle in
+/// the sky bends the whole camera and still fits; only leaving it out shows it.
+fn misfit_vehicle(
+    problem: &Problem,
+    settings: &joint::Settings,
+    joint: &joint::Joint,
+) -> Option<String> {
+    if joint.strangeness() < STRANGE || problem.vehicles.len() <= MIN_VEHICLES {
+        return None;
+    }
+    let without = |index: usize| {
+        let mut rest = problem.clone();
+        rest.vehicles.remove(index);
+        Some((index, joint::calibrate(&rest, settings).ok()?))
+    };
+    let (index, other) = (0..problem.vehicles.len())
+        .filter_map(without)
+        .min_by(|a, b| a.1.strangeness().total_cmp(&b.1.strangeness()))
+        .filter(|(_, other)| other.strangeness() < STRANGE)?;
+    let (vehicle, with, camera) = (&problem.vehicles[index], joint.camera(), other.camera());
+    let aloft = vehicle.points.iter().find(|p| camera.back_project(&p.uv, 0.0).is_none());
+    let aloft = aloft.map_or(String::new(), |p| {
+        format!(", and its key point {} lies above their horizon", p.label)
+    });
+    Some(format!(
+        "{} does not stand on the road of the others: with it the camera is {:.0} m high with \
+         f {:.0} px, without it {:.0} m and {:.0} px{aloft}",
+        vehicle.name,
+        with.height_m(),
+        with.lens.f,
+        camera.height_m(),
+        camera.lens.f,
+    ))
+}
+
+fn of_single(
+    problem: &Problem,
+    options: &Options,
+    solver: Solver,
+    gauss_newton: bool,
+) -> Result<Calibration> {
+    let weights = options.settings(problem).weights;
+    let name = options.method.name();
+    let (matched, best) = single_vehicle::solve(problem, name, solver, gauss_newton, weights)?;
+    let Matched { f, pose, .. } = matched[best];
+    let camera = Camera { image_size: problem.image_size, lens: problem.lens(f), pose };
+    let mut calibration = Calibration::of_camera(&camera, name);
+    calibration.loss = fine_tuning_loss(problem, &matched, weights, &camera);
+    calibration.vehicles = matches(problem, &matched);
+    calibration.evaluations = problem.vehicles.len() * problem.models.len();
+    // A single distant car fits nearly any focal length, whichever the solver.
+    calibration.trust = format!("{name} looks at one vehicle; use joint or mvcalib");
     Ok(calibration)
 }
 
@@ -106,16 +241,14 @@ fn of_stages(
         Method::Vm => {
             (stages.best_matched(problem, weights).ok_or_else(none)?, Some(settings.focal.matching))
         }
-        Method::Cg | Method::Epnp => {
-            (stages.best_candidate(problem, weights).ok_or_else(none)?, None)
-        }
+        _ => (stages.best_candidate(problem, weights).ok_or_else(none)?, None),
     };
     let mut calibration = Calibration::of_camera(&camera, options.method.name());
-    calibration.loss = Some(fine_tuning_loss(problem, &stages.matched, weights, &camera));
+    calibration.loss = fine_tuning_loss(problem, &stages.matched, weights, &camera);
     calibration.vehicles = matches(problem, &stages.matched);
     calibration.evaluations = stages.evaluations();
     calibration.stages = Some(losses(problem, &stages, weights));
-    let evidence = Evidence { rel_err: None, misfit_px: None, focal_bounds: bounds };
+    let evidence = Evidence { rel_err: None, worst: None, focal_bounds: bounds };
     calibration.trust = verdict(problem, &camera, &evidence);
     Ok(calibration)
 }
@@ -125,9 +258,10 @@ fn fine_tuning_loss(
     matched: &[Matched],
     weights: Weights,
     camera: &Camera,
-) -> f64 {
+) -> Option<f64> {
     let loss = fine_tuning::loss_of(problem, matched, weights);
-    loss.evaluate(0, &pack(&camera.pose, camera.lens.f))
+    let loss = loss.evaluate(0, &pack(&camera.pose, camera.lens.f));
+    loss.is_finite().then_some(loss)
 }
 
 fn matches(problem: &Problem, matched: &[Matched]) -> Vec<VehicleMatch> {

@@ -66,6 +66,8 @@ impl Settings {
 /// A step of the work, for progress on a terminal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
+    /// The joint method has begun.
+    Joint,
     /// Stage 1 has ended.
     Candidates,
     /// One more of so many searches of stage 2 has ended.
@@ -150,10 +152,7 @@ pub fn calibrate(
     });
     let matched = model_matching::best_of_each(&refined);
 
-    let search = settings.search(focal.tuning, settings.tuning_budget);
-    let tuned = fine_tuning::tune(problem, &matched, weights, &search, &|| {
-        progress(Step::Tuning(matched.len()));
-    });
+    let tuned = tune(problem, &matched, settings, progress);
     let best = fine_tuning::best(&tuned).ok_or_else(|| Error::Solver {
         method: "fine tuning",
         detail: "no anchor keeps all key points below its horizon; check the labels \
@@ -161,4 +160,22 @@ pub fn calibrate(
             .into(),
     })?;
     Ok(Stages { candidates, refined, matched, tuned, best })
+}
+
+/// Runs the third stage alone, from vehicles that are matched already.
+pub fn tune(
+    problem: &Problem,
+    matched: &[Matched],
+    settings: &Settings,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Vec<Matched> {
+    let search = settings.search(settings.focal.tuning, settings.tuning_budget);
+    fine_tuning::tune(problem, matched, settings.weights, &search, &|| {
+        progress(Step::Tuning(matched.len()));
+    })
+}
+
+/// The camera of one tuned anchor.
+pub fn camera_of(problem: &Problem, tuned: &Matched) -> Camera {
+    camera(problem, tuned.f, tuned.pose)
 }

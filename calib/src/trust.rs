@@ -19,17 +19,17 @@ pub const MAX_MISFIT_WIDTH_FRACTION: f64 = 0.01;
 
 /// What the rules look at.
 #[derive(Clone, Copy, Debug)]
-pub struct Evidence {
+pub struct Evidence<'a> {
     /// Stated standard error of a length, as a part of it.
     pub rel_err: Option<f64>,
-    /// Root mean square misfit of all key points, px.
-    pub misfit_px: Option<f64>,
+    /// The vehicle whose key points fit worst, and their root mean square misfit, px.
+    pub worst: Option<(&'a str, f64)>,
     /// The bounds of the focal length in the search, px.
     pub focal_bounds: Option<[f64; 2]>,
 }
 
 /// `ok`, or the first reason against the calibration, with its numbers.
-pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence) -> String {
+pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence<'_>) -> String {
     let vehicles = problem.vehicles.len();
     if vehicles < MIN_VEHICLES {
         return format!(
@@ -47,8 +47,10 @@ pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence) -> Strin
         return format!("the focal length {:.0} px ended at its bound", camera.lens.f);
     }
     let limit_px = MAX_MISFIT_WIDTH_FRACTION * problem.width_px();
-    if let Some(misfit) = evidence.misfit_px.filter(|m| m.is_nan() || *m > limit_px) {
-        return format!("key points miss their fit by {misfit:.1} px (limit {limit_px:.1} px)");
+    if let Some((name, misfit)) = evidence.worst.filter(|(_, m)| m.is_nan() || *m > limit_px) {
+        return format!(
+            "the key points of {name} miss their fit by {misfit:.1} px (limit {limit_px:.1} px)"
+        );
     }
     if let Some(rel_err) = evidence.rel_err.filter(|e| e.is_nan() || *e > MAX_REL_ERR) {
         return format!(

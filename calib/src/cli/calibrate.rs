@@ -4,12 +4,16 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 use mvcalib::calibration::{Calibration, TRUSTED};
+use mvcalib::canvas::picture_size;
 use mvcalib::error::{Error, Result};
-use mvcalib::labelme::read_vehicles;
+use mvcalib::joint::cues::RoadCues;
+use mvcalib::labelme::{LabelFile, read_vehicles};
 use mvcalib::loss::Form;
+use mvcalib::marks::Marks;
 use mvcalib::methods::{Method, Options, calibrate};
 use mvcalib::output::write_whole;
 use mvcalib::problem::Problem;
+use mvcalib::registration::FrameShifts;
 use mvcalib::stages::Step;
 use mvcalib::vehicle::read_models;
 use std::path::{Path, PathBuf};
@@ -49,6 +53,22 @@ pub struct Arguments {
     /// Seed of the random numbers.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Lines side by side on the road, by twos: labelme linestrips (joint).
+    #[arg(long)]
+    lane_lines: Option<PathBuf>,
+    /// Marks of known length as observations: a marks file (joint).
+    #[arg(long)]
+    known_lengths: Option<PathBuf>,
+    /// Shift of each picture against the reference: brings labels into its frame.
+    #[arg(long)]
+    frame_shifts: Option<PathBuf>,
+    /// Standard deviation of the camera's sway between pictures that are not registered,
+    /// px (joint).
+    #[arg(long, default_value_t = 0.0)]
+    sway_px: f64,
+    /// Estimate radial distortion too (joint).
+    #[arg(long)]
+    distortion: bool,
     /// Name of the camera, kept in the calibration and the lane table.
     #[arg(long)]
     camera_id: Option<String>,
@@ -56,12 +76,15 @@ pub struct Arguments {
 
 /// Runs `calibrate`.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let (vehicles, size) = read_vehicles(&arguments.labels)?;
+    let (mut vehicles, size) = read_vehicles(&arguments.labels)?;
+    if let Some(path) = &arguments.frame_shifts {
+        FrameShifts::read(path)?.register(&mut vehicles)?;
+    }
     if let Some(folder) = &arguments.images {
         check_pictures(folder, size)?;
     }
     let problem = Problem::new(size, vehicles, read_models(&arguments.vehicles)?)?;
-    let options = arguments.options()?;
+    let options = arguments.options(size)?;
     let bar = progress_bar();
     let mut calibration = calibrate(&problem, &options, &|step| show(&bar, step))?;
     bar.finish_and_clear();
@@ -72,7 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 impl Arguments {
-    fn options(&self) -> Result<Options> {
+    fn options(&self, size: [u32; 2]) -> Result<Options> {
         let positive = |name: &str, value: f64| {
             if value > 0.0 && value.is_finite() {
                 Ok(value)
@@ -80,6 +103,9 @@ impl Arguments {
                 Err(Error::Usage(format!("--{name} {value}: must be above 0")))
             }
         };
+        if !(self.sway_px >= 0.0 && self.sway_px.is_finite()) {
+            return Err(Error::Usage(format!("--sway-px {}: must be 0 or more", self.sway_px)));
+        }
         if !(self.alpha >= 0.0 && self.alpha.is_finite() && self.tau.is_finite()) {
             return Err(Error::Usage("--alpha must be 0 or more, --tau a number".into()));
         }
@@ -90,7 +116,34 @@ impl Arguments {
             tau: self.tau,
             f0: self.f0.map(|f0| positive("f0", f0)).transpose()?,
             seed: self.seed,
+            distortion: self.distortion,
+            sway_px: self.sway_px,
+            cues: self.cues(size)?,
         })
+    }
+}
+
+impl Arguments {
+    fn cues(&self, expected: [u32; 2]) -> Result<RoadCues> {
+        let mut cues = RoadCues::default();
+        if let Some(path) = &self.lane_lines {
+            let file = LabelFile::read(path)?;
+            let actual = file.image_size();
+            if actual != expected {
+                let what = path.display().to_string();
+                return Err(Error::ImageSize { what, actual, expected });
+            }
+            cues.line_pairs = file.line_pairs()?;
+        }
+        if let Some(path) = &self.known_lengths {
+            cues.segments = Marks::read(path)?.segments().collect();
+        }
+        if !cues.is_empty() && self.method != Method::Joint {
+            return Err(Error::Usage(
+                "--lane-lines and --known-lengths are observations of --method joint".into(),
+            ));
+        }
+        Ok(cues)
     }
 }
 
@@ -105,11 +158,10 @@ fn check_pictures(folder: &Path, expected: [u32; 2]) -> Result<()> {
             continue;
         }
         any = true;
-        let (w, h) = image::image_dimensions(&path)
-            .map_err(|e| Error::Picture { path: path.clone(), detail: e.to_string() })?;
-        if [w, h] != expected {
+        let actual = picture_size(&path)?;
+        if actual != expected {
             let what = path.display().to_string();
-            return Err(Error::ImageSize { what, actual: [w, h], expected });
+            return Err(Error::ImageSize { what, actual, expected });
         }
     }
     if any {
@@ -128,6 +180,7 @@ fn progress_bar() -> ProgressBar {
 
 fn show(bar: &ProgressBar, step: Step) {
     let (name, total) = match step {
+        Step::Joint => return bar.set_message("joint"),
         Step::Candidates => return bar.set_message("candidates"),
         Step::Matching(total) => ("model matching", total),
         Step::Tuning(total) => ("fine tuning", total),

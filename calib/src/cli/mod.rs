@@ -4,6 +4,8 @@
 //! the work.
 
 mod calibrate;
+mod compare;
+mod report;
 mod table;
 mod verify;
 
@@ -28,6 +30,10 @@ pub enum Command {
     Calibrate(calibrate::Arguments),
     /// Measure a calibration against marks of known length.
     Verify(verify::Arguments),
+    /// Print the paper's table of methods over made scenes.
+    Compare(compare::Arguments),
+    /// Draw a calibration: one-metre dots, lanes, key points, residuals, losses.
+    Report(report::Arguments),
     /// Make the lane table from a calibration and lane polygons.
     Table(table::Arguments),
 }
@@ -37,6 +43,8 @@ pub fn run(command: Command) -> Result<()> {
     match command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Verify(arguments) => verify::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments),
         Command::Table(arguments) => table::run(&arguments),
     }
 }

@@ -1,0 +1,55 @@
+//! The speed figures of `docs/calibration.md`, on camera K109F and one core.
+//!
+//! `cargo run --release -p mvcalib --example speed`: the paper's full budgets (35 searches
+//! of 4,000 and 7 of 20,000 evaluations, none stopped early) in both forms, and `joint`
+//! with its uncertainty. Medians of several runs.
+
+use mvcalib::joint;
+use mvcalib::labelme::read_vehicles;
+use mvcalib::problem::Problem;
+use mvcalib::stages::{Settings, calibrate};
+use mvcalib::vehicle::read_models;
+use std::path::Path;
+use std::time::Instant;
+
+const RUNS: usize = 7;
+
+fn main() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("data");
+    let (vehicles, size) = read_vehicles(&data.join("k109f/labels")).expect("shipped labels");
+    let models = read_models(&data.join("vehicles.json")).expect("shipped models");
+    let problem = Problem::new(size, vehicles, models).expect("shipped labels are valid");
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("one thread");
+    pool.install(|| {
+        for (name, settings) in [
+            ("authors' form, alpha 6", Settings::authors(320.0, 6.0)),
+            ("paper's form, alpha 6", Settings::paper(320.0)),
+        ] {
+            let settings = Settings { stop_early: false, ..settings };
+            let mut evaluations = 0;
+            let seconds = median(|| {
+                let stages = calibrate(&problem, &settings, &|_| ()).expect("seven vehicles");
+                evaluations = stages.evaluations();
+            });
+            let each_us = 1e6 * seconds / evaluations as f64;
+            println!("{name}: {evaluations} evaluations in {seconds:.3} s ({each_us:.2} us each)");
+        }
+        let seconds = median(|| {
+            let found = joint::calibrate(&problem, &joint::Settings::default());
+            assert!(found.expect("seven vehicles").rel_err().is_some());
+        });
+        println!("joint, 7 vehicles, with its uncertainty: {seconds:.4} s");
+    });
+}
+
+fn median(mut run: impl FnMut()) -> f64 {
+    let mut all: Vec<f64> = (0..RUNS)
+        .map(|_| {
+            let start = Instant::now();
+            run();
+            start.elapsed().as_secs_f64()
+        })
+        .collect();
+    all.sort_by(f64::total_cmp);
+    all[RUNS / 2]
+}

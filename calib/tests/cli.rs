@@ -1,0 +1,215 @@
+//! The commands end to end on camera K109F: what they write, what they say about bad input,
+//! and the exit codes.
+
+mod k109f;
+
+use k109f::data;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// A folder of its own for one test, removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(test: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("mvcalib-{test}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Folder(path)
+    }
+
+    fn join(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn mvcalib(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_mvcalib")).args(arguments).output().unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn calibrate(labels: &Path, out: &Path, more: &[&str]) -> Output {
+    let models = data("vehicles.json");
+    let mut arguments = vec!["calibrate", "--labels", text(labels), "--vehicles", text(&models)];
+    arguments.extend(["--out", text(out)]);
+    arguments.extend(more);
+    mvcalib(&arguments)
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Lanes made for this test: two strips of the picture's road.
+const LANES: &str = r#"{"imageWidth":320,"imageHeight":240,"shapes":[
+  {"label":"lane 1","shape_type":"polygon","flags":{"toward":true},
+   "points":[[149,110],[166,110],[128,215],[84,215]]},
+  {"label":"2","shape_type":"polygon","flags":{"toward":true},
+   "points":[[168,110],[190,110],[165,215],[131,215]]}]}"#;
+
+#[test]
+fn from_labels_to_a_lane_table_and_a_report() {
+    let folder = Folder::new("whole");
+    let (json, lut) = (folder.join("k.json"), folder.join("k.lut"));
+    let lines = data("k109f/lane_lines.json");
+    let shifts = data("k109f/frames.json");
+    let more = ["--method", "joint", "--camera-id", "K109F", "--lane-lines", text(&lines)];
+    let more = [&more[..], &["--frame-shifts", text(&shifts)]].concat();
+    let out = calibrate(&data("k109f/labels"), &json, &more);
+    assert!(out.status.success(), "{}", stderr(&out));
+    let written: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    for field in ["f", "rvec", "tvec", "loss", "rel_err", "seed", "evaluations", "wall_time_s"] {
+        assert!(!written[field].is_null(), "{field} is missing");
+    }
+    assert_eq!(written["vehicles"].as_array().unwrap().len(), 7);
+    assert_eq!(written["trust"], "ok");
+
+    let lanes = folder.join("lanes.json");
+    std::fs::write(&lanes, LANES).unwrap();
+    let overlay = folder.join("o.png");
+    let out = mvcalib(&[
+        "table",
+        "--calibration",
+        text(&json),
+        "--lanes",
+        text(&lanes),
+        "--out",
+        text(&lut),
+        "--overlay",
+        text(&overlay),
+    ]);
+    assert!(out.status.success(), "{}", stderr(&out));
+    assert!(std::fs::read(&overlay).unwrap().starts_with(b"\x89PNG"));
+    let bytes = std::fs::read(&lut).unwrap();
+    let table = verge::lane::LaneTable::parse(&bytes[..]).unwrap();
+    let description = table.description();
+    assert_eq!(description.camera_id.as_str(), "K109F");
+    let stated = written["rel_err"].as_f64().unwrap();
+    assert!((f64::from(description.length_rel_err.unwrap()) - stated).abs() < 1e-6);
+
+    let marks = folder.join("marks.json");
+    let one = r#"{"marks":[{"points":[[157.6,158.8],[145.1,181.7]],"segment_length_m":6.0}]}"#;
+    std::fs::write(&marks, one).unwrap();
+    let out = mvcalib(&["verify", "--calibration", text(&json), "--marks", text(&marks)]);
+    let accuracy: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    for field in ["rmse_m", "mae_m", "mape_pct"] {
+        assert!(accuracy[field].is_number(), "{field}");
+    }
+
+    let page = folder.join("r.html");
+    let out = mvcalib(&["report", "--calibration", text(&json), "--out", text(&page)]);
+    assert!(out.status.success(), "{}", stderr(&out));
+    assert!(std::fs::read_to_string(&page).unwrap().contains("K109F"));
+}
+
+#[test]
+fn the_same_seed_gives_the_same_calibration() {
+    let folder = Folder::new("seed");
+    let run = |name: &str, seed: &str| {
+        let json = folder.join(name);
+        let out = calibrate(&data("k109f/labels"), &json, &["--seed", seed]);
+        assert!(out.status.success(), "{}", stderr(&out));
+        let text = std::fs::read_to_string(&json).unwrap();
+        let lines = text.lines().filter(|l| !l.contains("wall_time_s"));
+        lines.map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(run("a.json", "5"), run("b.json", "5"));
+    assert_ne!(run("c.json", "6"), run("d.json", "5"));
+}
+
+/// Writes the labels of one vehicle, changed by `edit`, into a folder of their own.
+fn one_vehicle(folder: &Folder, edit: impl Fn(String) -> String) -> PathBuf {
+    let labels = folder.join("labels");
+    std::fs::create_dir_all(&labels).unwrap();
+    let source = std::fs::read_to_string(data("k109f/labels/vehicle_07.json")).unwrap();
+    std::fs::write(labels.join("vehicle_07.json"), edit(source)).unwrap();
+    labels
+}
+
+#[test]
+fn bad_labels_name_the_vehicle_and_the_point() {
+    let cases: [(&str, &str, &str); 5] = [
+        ("184.0, 205.6", "1e999, 205.6", "line"),
+        ("\"label\": \"2\"", "\"label\": \"1\"", "labelled twice"),
+        ("\"label\": \"2\"", "\"label\": \"wheel\"", "wheel"),
+        ("[[184.0, 205.6]]", "[[1840.0, 205.6]]", "outside"),
+        ("[[184.0, 205.6]]", "[[150.0, 203.0]]", "swapped"),
+    ];
+    for (index, (from, to, expected)) in cases.into_iter().enumerate() {
+        let folder = Folder::new(&format!("bad-{index}"));
+        let labels = one_vehicle(&folder, |s| s.replace(from, to));
+        let json = folder.join("out.json");
+        let out = calibrate(&labels, &json, &[]);
+        let message = stderr(&out);
+        assert_eq!(out.status.code(), Some(65), "{message}");
+        assert!(message.contains("vehicle_07") && message.contains(expected), "{message}");
+        assert!(!json.exists(), "nothing is written after an error");
+    }
+}
+
+#[test]
+fn one_vehicle_is_not_trusted_and_its_table_is_refused_unless_forced() {
+    for method in ["joint", "mvcalib"] {
+        let folder = Folder::new(&format!("one-{method}"));
+        let labels = one_vehicle(&folder, |s| s);
+        let (json, lut) = (folder.join("k.json"), folder.join("k.lut"));
+        let out = calibrate(&labels, &json, &["--method", method]);
+        assert!(out.status.success() && stderr(&out).contains("NOT TRUSTED"), "{}", stderr(&out));
+        let lanes = folder.join("lanes.json");
+        std::fs::write(&lanes, LANES).unwrap();
+        let (json, lanes, out) = (text(&json), text(&lanes), text(&lut));
+        let table = ["table", "--calibration", json, "--lanes", lanes, "--out", out];
+        let refused = mvcalib(&table);
+        assert_eq!(refused.status.code(), Some(65));
+        assert!(stderr(&refused).contains("1 vehicle"), "{}", stderr(&refused));
+        assert!(!lut.exists());
+        let forced = mvcalib(&[&table[..], &["--force"]].concat());
+        assert!(forced.status.success(), "{}", stderr(&forced));
+    }
+}
+
+#[test]
+fn a_vehicle_in_the_sky_is_named() {
+    // All vehicles of the camera, and one high above them: no road holds both.
+    let folder = Folder::new("sky");
+    let labels = one_vehicle(&folder, |s| s);
+    for n in 1..=6 {
+        let name = format!("vehicle_{n:02}.json");
+        std::fs::copy(data(&format!("k109f/labels/{name}")), labels.join(&name)).unwrap();
+    }
+    let up = |s: String| {
+        ["204.0", "205.6", "209.4", "195.4", "191.7", "194.8", "181.6"].iter().fold(s, |s, v| {
+            let moved: f64 = v.parse::<f64>().unwrap() - 175.0;
+            s.replace(&format!(", {v}]"), &format!(", {moved:.1}]"))
+        })
+    };
+    let labels = one_vehicle(&folder, up);
+    let json = folder.join("k.json");
+    let out = calibrate(&labels, &json, &["--method", "joint"]);
+    let message = stderr(&out);
+    assert!(message.contains("NOT TRUSTED") && message.contains("vehicle_07"), "{message}");
+}
+
+#[test]
+fn exit_codes_follow_sysexits() {
+    let folder = Folder::new("codes");
+    let labels = data("k109f/labels");
+    let code = |out: Output| out.status.code().unwrap();
+    assert_eq!(code(mvcalib(&["calibrate"])), 64);
+    assert_eq!(code(mvcalib(&["--help"])), 0);
+    let missing = folder.join("missing");
+    assert_eq!(code(calibrate(&missing, &folder.join("a.json"), &[])), 66);
+    assert_eq!(code(calibrate(&labels, &folder.join("a.json"), &["--f0", "-5"])), 64);
+    let nowhere = missing.join("a.json");
+    assert_eq!(code(calibrate(&labels, &nowhere, &["--method", "joint"])), 73);
+    assert!(!missing.exists());
+}

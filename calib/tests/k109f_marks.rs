@@ -1,0 +1,115 @@
+//! Camera K109F against road marks that no calibration has seen.
+//!
+//! Prints the table of `docs/calibration.md` (run with `--nocapture`).
+
+mod k109f;
+
+use k109f::data;
+use mvcalib::camera::{Camera, Lens, Pose};
+use mvcalib::joint::{self, Settings};
+use mvcalib::labelme::LabelFile;
+use mvcalib::loss::Form;
+use mvcalib::marks::Marks;
+use mvcalib::methods::{Method, Options, calibrate};
+use mvcalib::problem::Problem;
+use mvcalib::registration::FrameShifts;
+use std::path::Path;
+
+/// Midpoints of the dashes 6 m apart, read from the registered frames.
+fn marks() -> Marks {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/k109f/marks.json");
+    Marks::read(&path).expect("shipped marks")
+}
+
+fn registered() -> Problem {
+    let mut problem = k109f::problem();
+    let shifts = FrameShifts::read(&data("k109f/frames.json")).expect("shipped shifts");
+    shifts.register(&mut problem.vehicles).expect("a shift for each picture");
+    problem
+}
+
+fn joint(with_lines: bool) -> joint::Joint {
+    let mut settings = Settings::default();
+    if with_lines {
+        let lines = LabelFile::read(&data("k109f/lane_lines.json")).expect("shipped lines");
+        settings.cues.line_pairs = lines.line_pairs().expect("two lines");
+    }
+    joint::calibrate(&registered(), &settings).expect("seven vehicles")
+}
+
+fn published() -> Camera {
+    let best = k109f::published().fine_tuned;
+    Camera {
+        image_size: [320, 240],
+        lens: Lens::centred(best.f, [320, 240]),
+        pose: Pose::from_vectors(best.rvec.into(), best.tvec.into()),
+    }
+}
+
+fn row(name: &str, camera: &Camera) {
+    let a = marks().verify(camera).expect("all marks are on the road");
+    println!(
+        "| {name} | {:.1} | {:.2} | {:.2} | {:.1} % | {:+.1} % |",
+        camera.lens.f, a.rmse_m, a.mae_m, a.mape_pct, a.bias_pct
+    );
+}
+
+#[test]
+fn table_of_methods() {
+    println!("| method | f px | RMSE m | MAE m | MAPE | bias |\n|---|---|---|---|---|---|");
+    let problem = k109f::problem();
+    let methods = [Method::Upnp, Method::UpnpGn, Method::Gpnp, Method::GpnpGn];
+    for method in methods.into_iter().chain([Method::Cg, Method::Vm]) {
+        match calibrate(&problem, &Options::of(method), &|_| ()) {
+            Ok(c) if marks().verify(&c.camera()).is_ok() => row(method.name(), &c.camera()),
+            _ => {
+                println!("| {} | no camera that has the marks on its road | | | | |", method.name())
+            }
+        }
+    }
+    for (form, alpha) in
+        [(Form::Paper, 1.0), (Form::Paper, 6.0), (Form::Authors, 1.0), (Form::Authors, 6.0)]
+    {
+        let options = Options { form, alpha, ..Options::of(Method::Mvcalib) };
+        let c = calibrate(&problem, &options, &|_| ()).expect("seven vehicles");
+        row(&format!("mvcalib, {form:?}, alpha {alpha}"), &c.camera());
+    }
+    row("published by the authors", &published());
+    row("joint, vehicles only", &joint(false).camera());
+    row("joint, two lane lines", &joint(true).camera());
+}
+
+#[test]
+fn joint_with_lane_lines_at_least_matches_the_published_result() {
+    let ours = marks().verify(&joint(true).camera()).unwrap();
+    let theirs = marks().verify(&published()).unwrap();
+    assert!(ours.mape_pct <= theirs.mape_pct, "{ours:?} {theirs:?}");
+    assert!(ours.bias_pct.abs() <= theirs.bias_pct.abs(), "{ours:?} {theirs:?}");
+}
+
+#[test]
+fn the_stated_interval_contains_the_truth() {
+    let stretches: Vec<_> = marks().segments().map(|s| s.ends).collect();
+    for with_lines in [false, true] {
+        let found = joint(with_lines);
+        let bias = marks().verify(&found.camera()).unwrap().bias_pct / 100.0;
+        let state = &found.estimate.camera;
+        let sd = found.covariance.relative_sd(state, [320, 240], &stretches).unwrap();
+        println!("lines {with_lines}: bias {:.1} %, sd {:.1} %", 100.0 * bias, 100.0 * sd);
+        assert!((1.0 + bias).ln().abs() < 1.645 * sd, "{bias} {sd}");
+        assert!(sd < 0.15, "an interval that says nothing contains everything: {sd}");
+    }
+}
+
+#[test]
+fn the_start_changes_nothing() {
+    let f = |f0| {
+        let settings = Settings { f0, ..Settings::default() };
+        joint::calibrate(&registered(), &settings).unwrap().camera().lens.f
+    };
+    let free = f(None);
+    for part in [0.5, 2.0] {
+        let moved = f(Some(part * free));
+        assert!((moved / free - 1.0).abs() < 1e-3, "{free} {moved}");
+    }
+}

@@ -84,7 +84,8 @@ fn lamp_glare(
         if let Some(mirror) = camera.project(&below) {
             for step in 0..5 {
                 let t = 0.3 + 0.35 * f64::from(step);
-                let at = [image[0] + t * (mirror[0] - image[0]), image[1] + t * (mirror[1] - image[1])];
+                let at =
+                    [image[0] + t * (mirror[0] - image[0]), image[1] + t * (mirror[1] - image[1])];
                 canvas.glow(at, (0.5 * reach * size).max(1.0), colour, 0.35 * opacity * light.wet);
             }
         }
@@ -104,7 +105,8 @@ pub fn signals(
         let Some(signal) = lane.signal else { continue };
         let s = street.lane_lines()[index].reference_s(signal.at_m);
         let right = lane.offset_m > (scene.road.left_edge_m + scene.road.right_edge_m) / 2.0;
-        let aside = if right { scene.road.right_edge_m + 0.6 } else { scene.road.left_edge_m - 0.6 };
+        let aside =
+            if right { scene.road.right_edge_m + 0.6 } else { scene.road.left_edge_m - 0.6 };
         let [x, y] = street.road().at(s).beside(aside);
         let across = Vector3::new(camera.rotation[(0, 0)], camera.rotation[(0, 1)], 0.0);
         let distance = (Point3::new(x, y, 3.0) - camera.position()).norm();
@@ -114,12 +116,14 @@ pub fn signals(
                 .map(|(d, z)| camera.project(&Point3::new(x + d * across.x, y + d * across.y, z)))
                 .collect()
         };
-        let grey = light.levels(light.irradiance(&Vector3::new(0.0, -1.0, 0.0), 1.0, 0.5).map(|e| 0.2 * e));
+        let grey = light
+            .levels(light.irradiance(&Vector3::new(0.0, -1.0, 0.0), 1.0, 0.5).map(|e| 0.2 * e));
         if let (Some(post), Some(head)) = (slab(0.06, 0.0, 3.0), slab(0.2, 2.6, 3.6)) {
             canvas.polygon(&post, grey, 1.0);
             canvas.polygon(&head, [18, 18, 18], 1.0);
         }
-        let (z, colour) = if snapshot.red[index] { (3.4, [255, 40, 20]) } else { (2.8, [40, 255, 140]) };
+        let (z, colour) =
+            if snapshot.red[index] { (3.4, [255, 40, 20]) } else { (2.8, [40, 255, 140]) };
         if let Some(lamp) = camera.project(&Point3::new(x, y, z)) {
             let size = camera.focal_px / distance;
             canvas.disc(lamp, (0.13 * size).max(0.5), colour);

@@ -1,0 +1,124 @@
+//! The line behind the detector against exact truth: boxes of the simulated street in place
+//! of detections, 15-minute density per lane against the street's own.
+
+mod common;
+
+use mvcalib::calibration::Calibration;
+use mvcalib::labelme::LabelFile;
+use mvcalib::lane_table::{lanes, table};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use street::recording::{Recorder, calibration};
+use street::scene::Scene;
+use street::truth::FrameTruth;
+use verge::daemon::flow::{Detection, PixelBox};
+use verge::daemon::locate::Anchor;
+use verge::daemon::{Counting, LineSettings};
+use verge::density::{Closed, WindowReport};
+use verge::units::{UtcMs, VehicleClass};
+
+const QUARTER: Duration = Duration::from_secs(900);
+/// 08:00 on the scene's day, the beginning of a window.
+const START: UtcMs = UtcMs(1_767_600_000_000);
+
+/// The lane table that `mvcalib table` makes for a scene.
+fn write_table(scene: &Scene, recorder: &Recorder, folder: &Path) -> PathBuf {
+    let write = |name: &str, value: &serde_json::Value| {
+        let path = folder.join(name);
+        std::fs::write(&path, value.to_string()).expect("writing a file");
+        path
+    };
+    let drawn = street::measured::labelme(scene, recorder.street().measured(), "a.jpg");
+    let (lanes_file, camera_file) =
+        (write("lanes.json", &drawn), write("calibration.json", &calibration(scene)));
+    let camera = Calibration::read(&camera_file, None).expect("a right calibration");
+    let drawn = LabelFile::read(&lanes_file).expect("right lanes");
+    let drawn = lanes(&drawn, "lanes.json", &camera.camera()).expect("lanes on the road");
+    let bytes = table(&camera, &drawn, [0; 32], "street").expect("a right table");
+    let path = folder.join("street.lut");
+    std::fs::write(&path, bytes).expect("writing the table");
+    path
+}
+
+fn detections(truth: &FrameTruth) -> Vec<Detection> {
+    let detection = |vehicle: &street::truth::VehicleTruth| {
+        let [x0, y0, x1, y1] = vehicle.bounds.map(|side| side as f32);
+        let bounds = PixelBox { x0, y0, x1, y1 };
+        Detection { bounds, score: 1.0, class: VehicleClass::Vehicle }
+    };
+    truth.vehicles.iter().map(detection).collect()
+}
+
+/// Density per lane, veh/km: the street's own, by ground contact points, by box centres.
+fn quarter_of_an_hour(scene: &Scene, seed: u64) -> Vec<[f64; 3]> {
+    let folder = common::folder();
+    let mut recorder = Recorder::new(scene, seed).expect("a street");
+    let table = write_table(scene, &recorder, folder.path());
+    let interval = Duration::from_secs_f64(scene.interval_s);
+    let open = |anchor| {
+        let settings =
+            LineSettings { anchor, ..LineSettings::recorded(&table, Path::new("none"), QUARTER) };
+        Counting::open(&settings, interval).expect("a right table")
+    };
+    let mut lines = [open(Anchor::GroundContact), open(Anchor::BoxCentre)];
+    let size = (scene.camera.width as usize, scene.camera.height as usize);
+    let frames = (QUARTER.as_secs_f64() / scene.interval_s) as u32;
+    let mut truth = vec![0.0; scene.lanes.len()];
+    for frame in 0..frames {
+        let seen = recorder.next_truth();
+        for (sum, lane) in truth.iter_mut().zip(&seen.lanes) {
+            *sum += lane.density_veh_km / f64::from(frames);
+        }
+        let time = START.saturating_add(interval * frame);
+        for line in &mut lines {
+            let closed = line.count(&detections(&seen), size, time).expect("the table's camera");
+            assert!(closed.is_empty());
+        }
+    }
+    let [contact, centre] = lines.map(|mut line| single(line.windows().finish()));
+    let density = |report: &WindowReport, lane: usize| {
+        f64::from(report.lanes[lane].density_veh_km.expect("all frames were used"))
+    };
+    let row = |(lane, truth)| [truth, density(&contact, lane), density(&centre, lane)];
+    truth.into_iter().enumerate().map(row).collect()
+}
+
+fn single(closed: Closed) -> WindowReport {
+    assert_eq!(closed.len(), 1);
+    closed[0].clone()
+}
+
+/// The curve's first three lanes under other traffic.
+fn scene(regime: &str) -> Scene {
+    let text = std::fs::read_to_string("street/scenes/curve.toml").expect("it ships");
+    let mut scene = Scene::parse(&text, "curve.toml").expect("a right scene");
+    let stop_and_go = scene.lanes[1].slowdown.clone();
+    let queue = scene.lanes[2].signal.clone();
+    for lane in &mut scene.lanes[..3] {
+        (lane.slowdown, lane.signal) = match regime {
+            "free flow" => (None, None),
+            "stop-and-go" => (stop_and_go.clone(), None),
+            _ => (None, queue.clone()),
+        };
+    }
+    scene
+}
+
+#[test]
+fn density_is_the_streets_own_within_three_per_cent() {
+    eprintln!("| traffic | lane | truth veh/km | ground contact | box centre |");
+    eprintln!("|---|---|---|---|---|");
+    for regime in ["free flow", "stop-and-go", "queue"] {
+        let lanes = quarter_of_an_hour(&scene(regime), 1);
+        for (lane, [truth, contact, centre]) in lanes.into_iter().enumerate() {
+            let error = |density: f64| (density / truth - 1.0) * 100.0;
+            eprintln!(
+                "| {regime} | {} | {truth:.1} | {contact:.1} ({:+.1} %) | {centre:.1} ({:+.1} %) |",
+                lane + 1,
+                error(contact),
+                error(centre)
+            );
+            assert!(error(contact).abs() <= 3.0, "{regime}, lane {}", lane + 1);
+        }
+    }
+}

@@ -2,7 +2,7 @@
 //! `cargo run --release -p mvcalib --example made_scenes` prints whole.
 
 use mvcalib::joint::{self, Settings};
-use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE, make};
+use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE, Seen, make};
 use mvcalib::methods::{Method, Options, calibrate};
 use mvcalib::problem::Problem;
 use mvcalib::vehicle::{VehicleModel, parse_models};
@@ -75,6 +75,20 @@ fn joint_beats_the_papers_method() {
         println!("{fleet:?}: joint {ours:.2} %, mvcalib {paper:.2} %");
         assert!(ours < paper, "{fleet:?}: joint {ours:.2} %, mvcalib {paper:.2} %");
     }
+}
+
+#[test]
+fn vehicles_seen_from_behind_calibrate_too() {
+    let models = parse_models(include_str!("../data/vehicles_rear.json")).unwrap();
+    let kind = Kind { seen: Seen::Rear, ..SAC_LIKE };
+    let errors = (0..15).map(|seed| {
+        let scene = make(&kind, &models, seed);
+        assert!(scene.problem.vehicles.iter().all(|v| v.points.iter().all(|p| p.label >= 5)));
+        let found = joint::calibrate(&scene.problem, &Settings::default()).unwrap();
+        scene.marks.verify(&found.camera()).unwrap().mape_pct
+    });
+    let median = median(errors.collect());
+    assert!(median < 3.0, "{median:.2} %");
 }
 
 #[test]

@@ -31,11 +31,10 @@ fn without_noise_the_truth_is_found() {
 
 #[test]
 fn joint_states_its_error_honestly() {
-    for (base, fleet) in
-        [(HK_LIKE, Fleet::Known), (HK_LIKE, Fleet::Unknown), (SAC_LIKE, Fleet::Unknown)]
-    {
-        let kind = Kind { fleet, ..base };
-        let count = 60;
+    for base in [HK_LIKE, SAC_LIKE] {
+        let kind = Kind { fleet: Fleet::Unknown, ..base };
+        let count = 40;
+        let mut stated = Vec::new();
         let held = (500..500 + count)
             .filter(|&seed| {
                 let scene = make(&kind, &models(), seed);
@@ -46,12 +45,15 @@ fn joint_states_its_error_honestly() {
                 let mean = lengths.sum::<f64>() / stretches.len() as f64;
                 let state = &found.estimate.camera;
                 let sd = found.covariance.relative_sd(state, kind.image_size, &stretches);
+                stated.push(sd.unwrap());
                 (mean / kind.segment_m).ln().abs() < 1.645 * sd.unwrap()
             })
             .count();
-        // 90 +- 4 % (one standard error of 60 scenes), more where the fleet is
-        // kinder than assumed: 80 to 98 %. The whole table has the sharper test.
-        assert!((48..=59).contains(&held), "{kind:?}: {held} of {count}");
+        // 36 expected, 2 is one standard error; the example has the sharper test. Wide
+        // intervals would hold too, so their width is bounded.
+        assert!(held >= 32, "{kind:?}: {held} of {count}");
+        let width = median(stated);
+        assert!(width < 0.07, "{kind:?}: half of the intervals are wider than {width}");
     }
 }
 

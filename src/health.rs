@@ -91,8 +91,12 @@ impl Health {
         }
     }
 
-    /// Takes what happened at `now` and returns what follows. Called at least once a
-    /// second, with the latest event repeated while nothing new happens.
+    /// Says what follows at `now` when nothing has happened since the last call.
+    pub fn idle(&mut self, now: Duration) -> Actions {
+        self.on(Event::Missing, now)
+    }
+
+    /// Takes what happened at `now` and returns what follows.
     pub fn on(&mut self, event: Event, now: Duration) -> Actions {
         match event {
             Event::Measured => (self.last_new, self.last_any) = (now, now),

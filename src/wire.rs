@@ -109,6 +109,18 @@ impl fmt::Display for WireError {
 
 impl core::error::Error for WireError {}
 
+/// A hash as text, in lower-case hexadecimal.
+pub fn hex(hash: &[u8; 32]) -> heapless::String<64> {
+    let digit = |nibble: u8| char::from_digit(u32::from(nibble), 16).unwrap_or('0');
+    let mut text = heapless::String::new();
+    for byte in hash {
+        // Two digits a byte: there is always room.
+        let _ = text.push(digit(byte >> 4));
+        let _ = text.push(digit(byte & 15));
+    }
+    text
+}
+
 /// Writes a message into `buffer` and returns its bytes.
 ///
 /// # Errors

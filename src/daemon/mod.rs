@@ -1,1 +1,474 @@
-//! The line.
+//! The daemon: one straight line from camera to broker.
+//!
+//! ```text
+//! camera -> capture -> detect -> locate -> aggregate -> publish -> broker
+//!            Frame     Detection  Located   WindowReport  bytes
+//! ```
+//!
+//! Owns the order of the stages: this is the only file that names two of them. Each stage
+//! is a module that knows the values of [`flow`] and no other stage; aggregation is the
+//! core's [`crate::density`].
+
+pub mod capture;
+mod cli;
+mod clock;
+mod commands;
+pub mod config;
+pub mod detect;
+pub mod exit;
+pub mod flow;
+pub mod locate;
+mod output;
+pub mod publish;
+
+use crate::density::{Aggregator, Closed, FrameCounts, SampleZoneStatus, Start};
+use crate::hal::{Board, Switch, Thermometer, Watchdog};
+use crate::lane::{Description, Place};
+use crate::units::{ImagePoint, UtcMs};
+use capture::{Captured, Credentials, Recorded, Snapshot, SnapshotSettings, Source};
+use config::Config;
+use detect::Detector;
+use exit::Failure;
+use flow::{Detection, Frame};
+use locate::{Anchor, LocateError, Located, Locator};
+use publish::{Identity, MqttSettings, Publisher};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// Runs the program on a board: reads the command line, does what it says.
+pub fn main<L, R, W, T>(board: Board<L, R, W, T>) -> ExitCode
+where
+    L: Switch,
+    R: Switch,
+    W: Watchdog,
+    T: Thermometer,
+{
+    match cli::run(board) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("verge: {failure}");
+            ExitCode::from(&failure)
+        }
+    }
+}
+
+/// What a line is built from.
+#[derive(Clone, Debug)]
+pub struct LineSettings {
+    /// The lane table.
+    pub table: PathBuf,
+    /// The camera that it must belong to; `None`: whichever it belongs to.
+    pub camera: Option<String>,
+    /// Sidecar or model.
+    pub model: PathBuf,
+    /// Overrides the model's least score.
+    pub score: Option<f32>,
+    /// Which point of a box stands for the vehicle.
+    pub anchor: Anchor,
+    /// Window lengths.
+    pub windows: Vec<Duration>,
+    /// Share of its frames that a window needs.
+    pub min_completeness: f32,
+    /// What happens to a window that was begun in its middle.
+    pub start: Start,
+}
+
+impl LineSettings {
+    /// For a recording: every frame counts, whichever camera it is of.
+    pub fn recorded(table: &Path, model: &Path, window: Duration) -> Self {
+        Self {
+            table: table.to_owned(),
+            camera: None,
+            model: model.to_owned(),
+            score: None,
+            anchor: Anchor::default(),
+            windows: vec![window],
+            min_completeness: 0.0,
+            start: Start::WithFirstFrame,
+        }
+    }
+}
+
+/// Locate and aggregate: from detections to density.
+#[derive(Debug)]
+pub struct Counting {
+    locator: Locator,
+    aggregator: Aggregator,
+    located: Vec<Located>,
+}
+
+impl Counting {
+    /// Loads the table of `settings` for a camera with this time between frames.
+    ///
+    /// # Errors
+    /// [`Failure::Locate`] and [`Failure::Aggregate`].
+    pub fn open(settings: &LineSettings, interval: Duration) -> Result<Self, Failure> {
+        let locator = Locator::load(&settings.table, settings.camera.as_deref(), settings.anchor)?;
+        let aggregator = Aggregator::new(
+            &locator.description().lanes,
+            &settings.windows,
+            interval,
+            settings.min_completeness,
+            settings.start,
+        )?;
+        Ok(Self { locator, aggregator, located: Vec::new() })
+    }
+
+    /// Counts the vehicles of one picture and returns the windows that it closes.
+    ///
+    /// # Errors
+    /// [`LocateError::Shape`] for a picture that does not belong to the table.
+    pub fn count(
+        &mut self,
+        detections: &[Detection],
+        (width, height): (usize, usize),
+        time: UtcMs,
+    ) -> Result<Closed, LocateError> {
+        let size = self.locator.check_size(width, height)?;
+        self.locator.locate(detections, size, &mut self.located);
+        let mut counts = FrameCounts::default();
+        for vehicle in &self.located {
+            counts.add(vehicle.place.lane, vehicle.class);
+        }
+        Ok(self.aggregator.observe(time, &counts))
+    }
+
+    /// The vehicles of the latest picture in their lanes.
+    pub fn located(&self) -> &[Located] {
+        &self.located
+    }
+
+    /// What the lane table says about itself.
+    pub fn table(&self) -> &Description {
+        self.locator.description()
+    }
+
+    /// Where a point of the table's picture lies on the road.
+    pub fn place(&self, point: ImagePoint) -> Option<Place> {
+        self.locator.place(point)
+    }
+
+    /// The windows, for time without pictures and the end of a recording.
+    pub fn windows(&mut self) -> &mut Aggregator {
+        &mut self.aggregator
+    }
+}
+
+/// What the stages took for one frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StageTimes {
+    /// Reading and decoding the picture.
+    pub capture: Duration,
+    /// The picture into the net's input.
+    pub prepare: Duration,
+    /// The net.
+    pub infer: Duration,
+    /// The net's output into boxes.
+    pub read: Duration,
+    /// Boxes into lanes and windows.
+    pub count: Duration,
+}
+
+/// The line without its ends: from a frame to density.
+#[derive(Debug)]
+pub struct Line {
+    detector: Detector,
+    counting: Counting,
+    found: Vec<Detection>,
+}
+
+impl Line {
+    /// Loads model and table.
+    ///
+    /// # Errors
+    /// [`Failure`] names the file that is missing or wrong.
+    pub fn open(settings: &LineSettings, interval: Duration) -> Result<Self, Failure> {
+        let counting = Counting::open(settings, interval)?;
+        let detector = Detector::load(&settings.model, settings.score)?;
+        Ok(Self { detector, counting, found: Vec::new() })
+    }
+
+    /// Measures one frame and returns the windows that it closes.
+    ///
+    /// # Errors
+    /// [`Failure::Detect`] and [`Failure::Locate`]; the frame then counts as missed.
+    pub fn measure(&mut self, frame: &Frame) -> Result<Closed, Failure> {
+        let picture = &frame.picture;
+        let size = (picture.width, picture.height);
+        // A wrong picture is refused before it costs an inference.
+        self.counting.locator.check_size(size.0, size.1)?;
+        self.detector.detect(picture, &mut self.found)?;
+        Ok(self.counting.count(&self.found, size, frame.time)?)
+    }
+
+    /// Measures one frame and tells what each stage took.
+    ///
+    /// # Errors
+    /// As [`Self::measure`].
+    pub fn measure_timed(&mut self, frame: &Frame) -> Result<StageTimes, Failure> {
+        let picture = &frame.picture;
+        let size = (picture.width, picture.height);
+        let mut clock = Instant::now();
+        let mut lap = || {
+            let now = Instant::now();
+            now - std::mem::replace(&mut clock, now)
+        };
+        self.detector.prepare(picture);
+        let prepare = lap();
+        let output = self.detector.infer()?;
+        let infer = lap();
+        self.found.clear();
+        self.detector.read(picture, &output, &mut self.found)?;
+        let read = lap();
+        self.counting.count(&self.found, size, frame.time)?;
+        Ok(StageTimes { capture: Duration::ZERO, prepare, infer, read, count: lap() })
+    }
+
+    /// Notes that at `time` there was no usable frame, and why.
+    pub fn miss(&mut self, time: UtcMs, status: SampleZoneStatus) -> Closed {
+        self.counting.aggregator.miss(time, status)
+    }
+
+    /// What was found in the latest frame.
+    pub fn found(&self) -> &[Detection] {
+        &self.found
+    }
+
+    /// How many vehicles the latest frame shows, and how many of them in the lanes.
+    pub fn latest(&self) -> (usize, usize) {
+        (self.found.len(), self.counting.located.len())
+    }
+
+    /// Model and table in a few words.
+    pub fn describe(&self) -> (String, String) {
+        let (model, table) = (self.detector.sidecar(), self.counting.table());
+        let (id, lanes) = (&table.camera_id, table.lanes.len());
+        let error = table
+            .length_rel_err
+            .map_or("not stated".to_owned(), |error| format!("{:.1} %", error * 100.0));
+        (
+            format!("{} at {}x{} px", model.name, model.input.width_px, model.input.height_px),
+            format!("{lanes} lanes of {id}, {}, length error {error}", table.image_size),
+        )
+    }
+
+    /// The part behind detection.
+    pub fn counting(&mut self) -> &mut Counting {
+        &mut self.counting
+    }
+
+    /// Who measures, for messages from `site`.
+    pub fn identity(&self, site: &str) -> Identity {
+        Identity::new(site, self.counting.table(), self.detector.model())
+    }
+}
+
+/// A line with a recording in front, for `replay` and `demo`.
+fn open_recording(
+    settings: &LineSettings,
+    frames: &Path,
+    interval: Option<Duration>,
+) -> Result<(Recorded, Line), Failure> {
+    let recorded = Recorded::open(frames, interval)?;
+    let line = Line::open(settings, recorded.interval())?;
+    Ok((recorded, line))
+}
+
+/// A detector with a recording in front, for `detect`.
+fn open_detector(
+    frames: &Path,
+    model: &Path,
+    score: Option<f32>,
+) -> Result<(Recorded, Detector), Failure> {
+    Ok((Recorded::open(frames, None)?, Detector::load(model, score)?))
+}
+
+/// A camera with the line behind it.
+#[derive(Debug)]
+struct Station {
+    source: Source,
+    frame: Frame,
+    line: Line,
+}
+
+impl Station {
+    /// The station of a configuration.
+    fn open(config: &Config) -> Result<Self, Failure> {
+        Ok(Self { source: open_camera(config)?, frame: Frame::default(), line: open_line(config)? })
+    }
+
+    /// Takes a picture and measures it: the windows that it closes, or `None` when the
+    /// picture is the one before.
+    fn turn(&mut self) -> Result<Option<Closed>, Failure> {
+        match self.source.next(&mut self.frame)? {
+            Captured::New => self.line.measure(&self.frame).map(Some),
+            Captured::Unchanged | Captured::End => Ok(None),
+        }
+    }
+
+    /// The same, timed; for a recording that is played for ever.
+    fn turn_timed(&mut self) -> Result<StageTimes, Failure> {
+        let begun = Instant::now();
+        self.source.next(&mut self.frame)?;
+        let capture = begun.elapsed();
+        Ok(StageTimes { capture, ..self.line.measure_timed(&self.frame)? })
+    }
+}
+
+/// A recording that is played for ever in front of a line, for `bench`.
+fn open_endless(settings: &LineSettings, frames: &Path) -> Result<Station, Failure> {
+    let (recorded, line) = open_recording(settings, frames, None)?;
+    let source = Source::Recorded(recorded.for_ever());
+    Ok(Station { source, frame: Frame::default(), line })
+}
+
+/// The first picture of a configuration's camera.
+fn first_picture(config: &Config) -> Result<Frame, Failure> {
+    let mut frame = Frame::default();
+    open_camera(config)?.next(&mut frame)?;
+    Ok(frame)
+}
+
+/// The camera of a configuration.
+fn open_camera(config: &Config) -> Result<Source, Failure> {
+    let interval = config.interval();
+    if !config.camera.is_snapshot() {
+        let recorded = Recorded::open(Path::new(&config.camera.source), Some(interval))?;
+        return Ok(Source::Recorded(recorded.for_ever()));
+    }
+    let credentials =
+        config.camera_secret()?.map(|(user, password)| Credentials { user, password });
+    let settings = SnapshotSettings {
+        url: config.camera.source.clone(),
+        credentials,
+        interval,
+        timeout: Duration::from_secs_f64(config.camera.timeout_s),
+    };
+    Ok(Source::Snapshot(Box::new(Snapshot::new(settings)?)))
+}
+
+/// The line of a configuration.
+fn open_line(config: &Config) -> Result<Line, Failure> {
+    let settings = LineSettings {
+        table: config.lane_table.file.clone(),
+        camera: Some(config.camera.id.clone()),
+        model: config.model.file.clone(),
+        score: config.model.score,
+        anchor: Anchor::default(),
+        windows: config.windows.lengths_s.iter().copied().map(Duration::from_secs).collect(),
+        min_completeness: config.windows.min_completeness,
+        start: Start::AtNextWindow,
+    };
+    Line::open(&settings, config.interval())
+}
+
+/// The broker of a configuration.
+fn broker(config: &Config) -> Result<MqttSettings, Failure> {
+    Ok(MqttSettings {
+        host: config.mqtt.host.clone(),
+        port: config.mqtt.port,
+        client_id: config.mqtt.client_id.clone(),
+        credentials: config.mqtt_secret()?,
+        root: config.root_topic(),
+        keep_alive: Duration::from_secs(config.mqtt.keep_alive_s),
+    })
+}
+
+/// Starts publishing what a line measures.
+fn open_publisher(config: &Config, line: &Line) -> Result<Publisher, Failure> {
+    let identity = line.identity(&config.site);
+    Ok(Publisher::start(broker(config)?, config.mqtt.format, identity))
+}
+
+/// Plays a recording through a line: each frame that was measured, and the windows as
+/// they close. Frames that cannot be measured are said and count as missed.
+fn play(
+    recorded: Recorded,
+    line: &mut Line,
+    mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
+    mut on_windows: impl FnMut(&Closed) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut player = Player::new(recorded);
+    while let Some(captured) = player.next() {
+        let outcome = captured.and_then(|()| line.measure(&player.frame));
+        let closed = match outcome {
+            Ok(closed) => {
+                player.measured += 1;
+                on_frame(&player.frame, line.found())?;
+                closed
+            }
+            Err(fault) => {
+                player.note(&fault);
+                line.miss(player.frame.time, SampleZoneStatus::InputDataIntegrity)
+            }
+        };
+        on_windows(&closed)?;
+    }
+    player.finish()?;
+    on_windows(&line.counting().windows().finish())
+}
+
+/// Searches a recording for vehicles. Frames that cannot be searched are said.
+fn search(
+    recorded: Recorded,
+    detector: &mut Detector,
+    mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut player = Player::new(recorded);
+    let mut found = Vec::new();
+    while let Some(captured) = player.next() {
+        let outcome =
+            captured.and_then(|()| Ok(detector.detect(&player.frame.picture, &mut found)?));
+        match outcome {
+            Ok(()) => {
+                player.measured += 1;
+                on_frame(&player.frame, &found)?;
+            }
+            Err(fault) => player.note(&fault),
+        }
+    }
+    player.finish()
+}
+
+/// A recording as it is played, and how that goes.
+struct Player {
+    source: Source,
+    frame: Frame,
+    frames: usize,
+    measured: usize,
+    first_fault: Option<String>,
+}
+
+impl Player {
+    fn new(recorded: Recorded) -> Self {
+        let frames = recorded.frames();
+        let source = Source::Recorded(recorded);
+        Self { source, frame: Frame::default(), frames, measured: 0, first_fault: None }
+    }
+
+    /// Fills `frame` with the next picture; `None` at the end.
+    fn next(&mut self) -> Option<Result<(), Failure>> {
+        match self.source.next(&mut self.frame) {
+            Ok(Captured::End) => None,
+            Ok(Captured::New | Captured::Unchanged) => Some(Ok(())),
+            Err(fault) => Some(Err(fault.into())),
+        }
+    }
+
+    fn note(&mut self, fault: &Failure) {
+        let fault = fault.to_string();
+        log::warn!("frame {} is left out: {fault}", self.frame.name);
+        self.first_fault.get_or_insert(fault);
+    }
+
+    /// A recording of which nothing could be measured is an error.
+    fn finish(self) -> Result<(), Failure> {
+        match self.first_fault {
+            Some(first) if self.measured == 0 => {
+                Err(Failure::NothingMeasured { frames: self.frames, first })
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! Board: any computer with Linux, macOS or the like; no lamp, relay or watchdog.
+//!
+//! For development, the demo, and boxes that are supervised from outside.
+
+use std::process::ExitCode;
+use verge::hal::Board;
+
+/// What this board has besides a camera: nothing.
+type Host = Board;
+
+fn main() -> ExitCode {
+    verge::daemon::main(Host::default())
+}

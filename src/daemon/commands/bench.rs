@@ -1,0 +1,88 @@
+//! `verge bench`: what each stage takes, as JSON.
+
+use super::recording;
+use crate::daemon::cli::Bench;
+use crate::daemon::exit::Failure;
+use crate::daemon::{Counting, LineSettings, StageTimes, open_endless};
+use crate::units::{ImagePoint, ImageSize};
+use serde_json::json;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+/// Look-ups that are timed together.
+const LOOK_UPS: u32 = 1_000_000;
+
+pub fn run(args: &Bench) -> Result<(), Failure> {
+    let started = Instant::now();
+    let (frames, table) = match (&args.frames, &args.table) {
+        (Some(frames), Some(table)) => (frames.clone(), table.clone()),
+        _ => {
+            let recording = recording::find()?;
+            (recording.frames.into(), recording.table.into())
+        }
+    };
+    let settings = LineSettings {
+        score: args.model.score,
+        ..LineSettings::recorded(&table, &args.model.model, Duration::from_secs(900))
+    };
+    let mut station = open_endless(&settings, &frames)?;
+    station.turn_timed()?;
+    let cold_start = started.elapsed();
+    for _ in 0..args.count {
+        station.turn_timed()?;
+    }
+    let stages: Vec<StageTimes> =
+        (0..args.count.max(1)).map(|_| station.turn_timed()).collect::<Result<_, _>>()?;
+    let stage = |pick: fn(&StageTimes) -> Duration| median_ms(stages.iter().map(pick));
+    let report = json!({
+        "frames": stages.len(),
+        "picture": station.line.counting().table().image_size.to_string(),
+        "model": args.model.model.file_name().map(|name| name.to_string_lossy()),
+        "capture_ms": stage(|s| s.capture),
+        "prepare_ms": stage(|s| s.prepare),
+        "infer_ms": stage(|s| s.infer),
+        "read_ms": stage(|s| s.read),
+        "count_ms": stage(|s| s.count),
+        "except_inference_ms": stage(|s| s.capture + s.prepare + s.read + s.count),
+        "frame_ms": stage(|s| s.capture + s.prepare + s.infer + s.read + s.count),
+        "table_look_up_ns": look_up_ns(station.line.counting()),
+        "cold_start_ms": round(cold_start.as_secs_f64() * 1e3),
+        "peak_rss_mb": peak_rss_mb(),
+    });
+    println!("{report:#}");
+    Ok(())
+}
+
+fn median_ms(times: impl Iterator<Item = Duration>) -> f64 {
+    let mut times: Vec<_> = times.collect();
+    times.sort();
+    times.get(times.len() / 2).map_or(0.0, |time| round(time.as_secs_f64() * 1e3))
+}
+
+/// Three digits behind the point.
+fn round(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
+}
+
+/// Mean time of a look-up at points spread over the whole picture.
+fn look_up_ns(counting: &Counting) -> f64 {
+    let ImageSize { width, height } = counting.table().image_size;
+    let (width, height) = (f32::from(width), f32::from(height));
+    let mut state = 1u32;
+    let begun = Instant::now();
+    for _ in 0..LOOK_UPS {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let u = (state >> 16) as f32 / 65_536.0 * width;
+        let v = (state & 0xffff) as f32 / 65_536.0 * height;
+        black_box(counting.place(ImagePoint { u, v }));
+    }
+    round(begun.elapsed().as_secs_f64() * 1e9 / f64::from(LOOK_UPS))
+}
+
+/// Largest resident memory so far, MB; `None` where the system does not tell.
+fn peak_rss_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(round(kib * 1024.0 / 1e6))
+}

@@ -1,0 +1,67 @@
+//! `verge replay`: density in recorded frames, the same bytes each time.
+
+use super::text;
+use crate::daemon::cli::Replay;
+use crate::daemon::clock::rfc3339;
+use crate::daemon::exit::Failure;
+use crate::daemon::output::WholeFile;
+use crate::daemon::publish::{payload, window_name};
+use crate::daemon::{LineSettings, open_recording, play};
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+use std::time::Duration;
+
+pub fn run(args: &Replay) -> Result<(), Failure> {
+    let settings = LineSettings {
+        score: args.model.score,
+        anchor: args.anchor,
+        ..LineSettings::recorded(&args.table, &args.model.model, Duration::from_secs(args.window))
+    };
+    let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
+    let (recorded, mut line) = open_recording(&settings, &args.frames, interval)?;
+    if recorded.assumes_interval() {
+        log::warn!(
+            "neither names nor file times tell when the frames were taken: one each {} s is \
+             assumed (--interval)",
+            recorded.interval().as_secs_f64()
+        );
+    }
+    let clock_synced = recorded.tells_time();
+    let site = line.counting().table().camera_id.clone();
+    let mut identity = line.identity(&site);
+    let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
+    let mut heading = (!args.json).then_some(text::LANE_HEADING);
+    play(
+        recorded,
+        &mut line,
+        |frame, found| match &mut detections {
+            Some(file) => file.line(&text::boxes(frame, found)),
+            None => Ok(()),
+        },
+        |closed| {
+            for report in closed {
+                if args.json {
+                    let json = payload::density(&identity.message(report, clock_synced));
+                    print(&String::from_utf8_lossy(&json))?;
+                    continue;
+                }
+                heading.take().map_or(Ok(()), print)?;
+                let window = window_name(Duration::from_secs(args.window));
+                for lane in &report.lanes {
+                    print(&text::lane(&window, &rfc3339(report.from)[..19], lane))?;
+                }
+            }
+            Ok(())
+        },
+    )?;
+    detections.map_or(Ok(()), WholeFile::finish)
+}
+
+/// Prints a line. A reader that has gone away (`| head`) ends the program in silence.
+fn print(line: &str) -> Result<(), Failure> {
+    match writeln!(std::io::stdout(), "{line}") {
+        Ok(()) => Ok(()),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => std::process::exit(0),
+        Err(source) => Err(Failure::Write { path: Path::new("standard output").into(), source }),
+    }
+}

@@ -1,0 +1,237 @@
+//! Detect: the second stage, from a picture to [`Detection`]s.
+//!
+//! Owns the model: its sidecar, its input, its output, non-maximum suppression. The door
+//! of the crate `tract`; its errors stop here.
+
+mod head;
+mod letterbox;
+mod nms;
+mod sidecar;
+
+pub use sidecar::{Sidecar, SidecarError};
+
+use super::flow::{Detection, Picture};
+use crate::lane::Name;
+use crate::wire::{ModelRef, hex};
+use head::Head;
+use letterbox::Letterbox;
+use sha2::{Digest, Sha256};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tract_onnx::prelude::*;
+
+/// Most boxes of one picture that reach non-maximum suppression, best first: eight lanes
+/// of 100 m at jam density, with ten cells firing on each vehicle, stay below.
+pub const MAX_CANDIDATES: usize = 1024;
+
+/// Why a model cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The sidecar that describes it is missing or wrong.
+    #[error(transparent)]
+    Sidecar(#[from] SidecarError),
+    /// The file cannot be read.
+    #[error("model {}: {source}", path.display())]
+    Read {
+        /// The model file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file is another one than the sidecar describes.
+    #[error(
+        "model {}: its SHA-256 is {actual}, sidecar {} says {expected}; they do not belong \
+         together", path.display(), sidecar.display()
+    )]
+    Hash {
+        /// The model file.
+        path: PathBuf,
+        /// The sidecar.
+        sidecar: PathBuf,
+        /// The hash that the sidecar names.
+        expected: String,
+        /// The hash of the file.
+        actual: String,
+    },
+    /// The file is no model that tract runs.
+    #[error("model {}: cannot be loaded: {reason}", path.display())]
+    Load {
+        /// The model file.
+        path: PathBuf,
+        /// tract's reason.
+        reason: String,
+    },
+    /// Input or output differ from what the sidecar says.
+    #[error("model {}: {what} has shape {actual:?}, its sidecar asks for {expected:?}",
+        path.display())]
+    Shape {
+        /// The model file.
+        path: PathBuf,
+        /// Input or output.
+        what: &'static str,
+        /// The shape that follows from the sidecar.
+        expected: Vec<usize>,
+        /// The model's own.
+        actual: Vec<usize>,
+    },
+}
+
+/// A picture that could not be searched.
+#[derive(Debug, thiserror::Error)]
+#[error("inference failed: {reason}")]
+pub struct DetectError {
+    reason: String,
+}
+
+/// A loaded model.
+#[derive(Debug)]
+pub struct Detector {
+    plan: Arc<TypedRunnableModel>,
+    sidecar: Sidecar,
+    model: ModelRef,
+    head: Head,
+    letterbox: Letterbox,
+    candidates: Vec<Detection>,
+}
+
+impl Detector {
+    /// Loads a model from its sidecar (`.toml`) or from the model file itself (`.onnx`),
+    /// whose sidecar is then looked for beside it and among the known models.
+    /// `score` overrides the sidecar's threshold.
+    ///
+    /// # Errors
+    /// [`ModelError`] where the files are missing, damaged, or do not fit each other.
+    pub fn load(path: &Path, score: Option<f32>) -> Result<Self, ModelError> {
+        let (mut sidecar, sidecar_path, path) = Sidecar::find(path)?;
+        if let Some(score) = score {
+            sidecar.thresholds.score = score;
+        }
+        let bytes = std::fs::read(&path)
+            .map_err(|source| ModelError::Read { path: path.clone(), source })?;
+        let sha256: [u8; 32] = Sha256::digest(&bytes).into();
+        let actual = hex(&sha256).as_str().to_owned();
+        if sidecar.sha256 != actual {
+            let expected = sidecar.sha256;
+            return Err(ModelError::Hash { path, sidecar: sidecar_path, expected, actual });
+        }
+        let plan = plan(&path, &bytes, &sidecar)?;
+        let head = Head::new(&sidecar);
+        let input = [sidecar.input.width_px, sidecar.input.height_px];
+        let letterbox = Letterbox::new(input, &sidecar.input.normalisation());
+        let name = Name::try_from(sidecar.name.as_str()).unwrap_or_default();
+        let candidates = Vec::with_capacity(MAX_CANDIDATES);
+        let model = ModelRef { name, sha256 };
+        Ok(Self { plan, sidecar, model, head, letterbox, candidates })
+    }
+
+    /// Name and hash of the model, for messages.
+    pub fn model(&self) -> &ModelRef {
+        &self.model
+    }
+
+    /// What the model says about itself.
+    pub fn sidecar(&self) -> &Sidecar {
+        &self.sidecar
+    }
+
+    /// Finds the vehicles in `picture`, best first, in pixels of the picture.
+    ///
+    /// # Errors
+    /// [`DetectError`] where inference fails; `found` is then empty.
+    pub fn detect(
+        &mut self,
+        picture: &Picture,
+        found: &mut Vec<Detection>,
+    ) -> Result<(), DetectError> {
+        found.clear();
+        self.prepare(picture);
+        let output = self.infer()?;
+        self.read(picture, &output, found)
+    }
+
+    /// First step: the picture into the net's input.
+    pub fn prepare(&mut self, picture: &Picture) {
+        self.letterbox.fill(picture);
+    }
+
+    /// Second step: the net.
+    ///
+    /// # Errors
+    /// [`DetectError`] where inference fails.
+    pub fn infer(&mut self) -> Result<Inferred, DetectError> {
+        let failed = |error: TractError| DetectError { reason: format!("{error:#}") };
+        let [width, height] = self.letterbox.input();
+        let tensor = Tensor::from_shape(&[1, 3, height, width], self.letterbox.planes());
+        let output = self.plan.run(tvec!(tensor.map_err(failed)?.into())).map_err(failed)?;
+        output
+            .into_iter()
+            .next()
+            .map(Inferred)
+            .ok_or_else(|| DetectError { reason: "the model has no output".to_owned() })
+    }
+
+    /// Third step: the net's output into boxes.
+    ///
+    /// # Errors
+    /// [`DetectError`] where the output is not made of 32-bit floats.
+    pub fn read(
+        &mut self,
+        picture: &Picture,
+        output: &Inferred,
+        found: &mut Vec<Detection>,
+    ) -> Result<(), DetectError> {
+        let failed = |error: TractError| DetectError { reason: format!("{error:#}") };
+        let view = output.0.to_plain_array_view::<f32>().map_err(failed)?;
+        let rows = view.as_slice().unwrap_or_default();
+        self.candidates.clear();
+        self.head.read(rows, &mut self.candidates);
+        let thresholds = &self.sidecar.thresholds;
+        nms::suppress(&mut self.candidates, thresholds.iou, MAX_CANDIDATES, found);
+        for detection in found {
+            detection.bounds = self.letterbox.to_picture(&detection.bounds, picture);
+        }
+        Ok(())
+    }
+}
+
+/// What the net gave for one picture.
+#[derive(Debug)]
+pub struct Inferred(TValue);
+
+fn plan(
+    path: &Path,
+    bytes: &[u8],
+    sidecar: &Sidecar,
+) -> Result<Arc<TypedRunnableModel>, ModelError> {
+    let load = |error: TractError| ModelError::Load {
+        path: path.to_owned(),
+        reason: format!("{error:#}"),
+    };
+    let model = tract_onnx::onnx().model_for_read(&mut Cursor::new(bytes)).map_err(load)?;
+    let expected = vec![1, 3, sidecar.input.height_px, sidecar.input.width_px];
+    if let Some(actual) = known_shape(model.input_fact(0).map_err(load)?)
+        && actual != expected
+    {
+        let what = "the input";
+        return Err(ModelError::Shape { path: path.to_owned(), what, expected, actual });
+    }
+    let model = model
+        .with_input_fact(0, f32::fact(&expected).into())
+        .and_then(InferenceModelExt::into_optimized)
+        .map_err(load)?;
+    let output = model.output_fact(0).map_err(load)?;
+    let actual: Vec<usize> = output.shape.as_concrete().map(<[_]>::to_vec).unwrap_or_default();
+    let expected = Head::new(sidecar).output_shape().to_vec();
+    if actual != expected {
+        let what = "the output";
+        return Err(ModelError::Shape { path: path.to_owned(), what, expected, actual });
+    }
+    model.into_runnable().map_err(load)
+}
+
+/// The shape of a fact whose every dimension is known.
+fn known_shape(fact: &InferenceFact) -> Option<Vec<usize>> {
+    let dims = fact.shape.as_concrete_finite().ok()??;
+    Some(dims.to_vec())
+}

@@ -1,0 +1,61 @@
+//! Non-maximum suppression: of boxes on one vehicle the best stays.
+
+use crate::daemon::flow::Detection;
+
+/// Moves into `kept` the best of `candidates`, each overlapping no better one by more than
+/// `iou` whatever its class. At most `limit` candidates are looked at, best first; equal
+/// scores are ordered by position, so that the same picture gives the same boxes.
+pub(super) fn suppress(
+    candidates: &mut Vec<Detection>,
+    iou: f32,
+    limit: usize,
+    kept: &mut Vec<Detection>,
+) {
+    candidates.sort_unstable_by(|a, b| {
+        let position = |d: &Detection| (d.bounds.y0, d.bounds.x0);
+        b.score
+            .total_cmp(&a.score)
+            .then(position(a).0.total_cmp(&position(b).0))
+            .then(position(a).1.total_cmp(&position(b).1))
+    });
+    candidates.truncate(limit);
+    for candidate in candidates {
+        if kept.iter().all(|better| better.bounds.iou(&candidate.bounds) <= iou) {
+            kept.push(*candidate);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::flow::PixelBox;
+    use crate::units::VehicleClass;
+
+    fn detection(x0: f32, score: f32, class: VehicleClass) -> Detection {
+        let bounds = PixelBox { x0, y0: 0.0, x1: x0 + 10.0, y1: 10.0 };
+        Detection { bounds, score, class }
+    }
+
+    #[test]
+    fn the_best_of_overlapping_boxes_stays_whatever_its_class() {
+        let mut candidates = vec![
+            detection(0.0, 0.5, VehicleClass::Car),
+            detection(1.0, 0.9, VehicleClass::Truck),
+            detection(30.0, 0.4, VehicleClass::Car),
+        ];
+        let mut kept = Vec::new();
+        suppress(&mut candidates, 0.6, 100, &mut kept);
+        let scores: Vec<_> = kept.iter().map(|d| d.score).collect();
+        assert_eq!(scores, [0.9, 0.4]);
+    }
+
+    #[test]
+    fn neighbours_in_a_queue_stay() {
+        let mut candidates =
+            vec![detection(0.0, 0.9, VehicleClass::Car), detection(4.0, 0.8, VehicleClass::Car)];
+        let mut kept = Vec::new();
+        suppress(&mut candidates, 0.6, 100, &mut kept);
+        assert_eq!(kept.len(), 2);
+    }
+}

@@ -1,0 +1,294 @@
+//! The sidecar: a small TOML file that says how a model is fed and read.
+//!
+//! Owns its keys, its checks, and the list of models that verge knows without one.
+
+use crate::units::VehicleClass;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// Sidecars of models that may lie anywhere without a sidecar beside them, found by the
+/// hash of the model file.
+const KNOWN: &[(&str, &str)] = &[
+    (
+        "models/nanodet_plus_m_coco_640x480.toml",
+        include_str!("../../../models/nanodet_plus_m_coco_640x480.toml"),
+    ),
+    (
+        "models/nanodet_plus_m_coco_416x320.toml",
+        include_str!("../../../models/nanodet_plus_m_coco_416x320.toml"),
+    ),
+    (
+        "models/yolox_nano_coco_640x480.toml",
+        include_str!("../../../models/yolox_nano_coco_640x480.toml"),
+    ),
+];
+
+/// Largest side of a model's input, px.
+const MAX_INPUT_PX: usize = 4096;
+
+/// Why a sidecar cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SidecarError {
+    /// It cannot be read.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// Sidecar or model.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// There is none.
+    #[error(
+        "model {}: no sidecar {} beside it, and its SHA-256 is none that verge knows",
+        model.display(), sidecar.display()
+    )]
+    Unknown {
+        /// The model file.
+        model: PathBuf,
+        /// Where its sidecar would be.
+        sidecar: PathBuf,
+    },
+    /// It does not parse.
+    #[error("sidecar {}: {reason}", path.display())]
+    Parse {
+        /// The sidecar.
+        path: PathBuf,
+        /// Key, line and reason.
+        reason: String,
+    },
+    /// A value is out of its range.
+    #[error("sidecar {}: {key}: {reason}", path.display())]
+    Value {
+        /// The sidecar.
+        path: PathBuf,
+        /// Which key.
+        key: &'static str,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// A model's description.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sidecar {
+    /// Name in messages, at most 48 bytes.
+    pub name: String,
+    /// The model file, relative to the sidecar.
+    pub file: PathBuf,
+    /// SHA-256 of the model file, hexadecimal.
+    pub sha256: String,
+    /// Licence of the weights.
+    pub licence: String,
+    /// How it is fed.
+    pub input: Input,
+    /// How its output is read.
+    pub head: HeadSpec,
+    /// Which score columns are vehicles.
+    pub class: Vec<ClassColumn>,
+    /// What counts as found.
+    pub thresholds: Thresholds,
+}
+
+/// How a model is fed: one picture as planes of 32-bit floats, `[1, 3, height, width]`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Input {
+    /// Columns, px.
+    pub width_px: usize,
+    /// Rows, px.
+    pub height_px: usize,
+    /// Order of the planes.
+    pub channels: Channels,
+    /// Subtracted from each channel (0 to 255), in the order of the planes.
+    pub mean: [f32; 3],
+    /// Divides each channel afterwards.
+    pub std: [f32; 3],
+}
+
+/// Order of the colour planes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Channels {
+    /// Red first.
+    Rgb,
+    /// Blue first.
+    Bgr,
+}
+
+/// For each plane: which channel of an RGB pixel, what is subtracted, what multiplies.
+pub(super) type Normalisation = [(usize, f32, f32); 3];
+
+impl Input {
+    pub(super) fn normalisation(&self) -> Normalisation {
+        std::array::from_fn(|plane| {
+            let channel = if self.channels == Channels::Rgb { plane } else { 2 - plane };
+            (channel, self.mean[plane], 1.0 / self.std[plane])
+        })
+    }
+}
+
+/// How a model's output is read.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HeadSpec {
+    /// Which decoding.
+    pub kind: HeadKind,
+    /// Cell sizes of the output's levels, px, in their order.
+    pub strides: Vec<usize>,
+    /// Bins of each side's distance (NanoDet-Plus only).
+    #[serde(default)]
+    pub bins: usize,
+    /// Score columns.
+    pub classes: usize,
+}
+
+/// The decodings that verge knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HeadKind {
+    /// Scores after a sigmoid, then four distances as distributions over bins.
+    NanodetPlus,
+    /// Centre, size as logarithm, objectness, scores.
+    Yolox,
+}
+
+/// One score column that is a vehicle.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClassColumn {
+    /// Column, from 0.
+    pub index: usize,
+    /// Which class it means.
+    pub name: VehicleClass,
+}
+
+/// What counts as found.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Thresholds {
+    /// Least score, 0 to 1.
+    pub score: f32,
+    /// Boxes that overlap a better one by more than this (IoU) are dropped, 0 to 1.
+    pub iou: f32,
+}
+
+impl Sidecar {
+    /// The sidecar for `path`, its own path, and the model file's.
+    pub(super) fn find(path: &Path) -> Result<(Self, PathBuf, PathBuf), SidecarError> {
+        if path.extension().is_some_and(|extension| extension == "toml") {
+            let sidecar = Self::read(path)?;
+            let model = path.parent().unwrap_or(Path::new("")).join(&sidecar.file);
+            return Ok((sidecar, path.to_owned(), model));
+        }
+        let beside = path.with_extension("toml");
+        if beside.exists() {
+            return Ok((Self::read(&beside)?, beside, path.to_owned()));
+        }
+        let read = |source| SidecarError::Read { path: path.to_owned(), source };
+        let digest = <sha2::Sha256 as sha2::Digest>::digest(std::fs::read(path).map_err(read)?);
+        let hash = crate::wire::hex(&digest.into());
+        for (name, text) in KNOWN {
+            let sidecar = Self::parse(text, Path::new(name))?;
+            if sidecar.sha256 == hash.as_str() {
+                return Ok((sidecar, PathBuf::from(name), path.to_owned()));
+            }
+        }
+        Err(SidecarError::Unknown { model: path.to_owned(), sidecar: beside })
+    }
+
+    fn read(path: &Path) -> Result<Self, SidecarError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| SidecarError::Read { path: path.to_owned(), source })?;
+        Self::parse(&text, path)
+    }
+
+    fn parse(text: &str, path: &Path) -> Result<Self, SidecarError> {
+        let parse = |error: toml::de::Error| SidecarError::Parse {
+            path: path.to_owned(),
+            reason: error.to_string().trim_end().to_owned(),
+        };
+        let sidecar: Self = toml::from_str(text).map_err(parse)?;
+        sidecar.check().map_err(|(key, reason)| SidecarError::Value {
+            path: path.to_owned(),
+            key,
+            reason,
+        })?;
+        Ok(sidecar)
+    }
+
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        let known = |ok: bool, key, reason: String| if ok { Ok(()) } else { Err((key, reason)) };
+        let in_range = |value: f32| (0.0..=1.0).contains(&value);
+        let (width, height) = (self.input.width_px, self.input.height_px);
+        known(
+            self.name.len() <= crate::lane::MAX_NAME,
+            "name",
+            format!("{} bytes, at most {}", self.name.len(), crate::lane::MAX_NAME),
+        )?;
+        known(
+            (1..=MAX_INPUT_PX).contains(&width) && (1..=MAX_INPUT_PX).contains(&height),
+            "input",
+            format!("{width}x{height} px, each side must be 1 to {MAX_INPUT_PX}"),
+        )?;
+        known(
+            self.input.std.iter().all(|std| std.is_normal()),
+            "input.std",
+            format!("{:?}, none may be 0", self.input.std),
+        )?;
+        known(
+            !self.head.strides.is_empty() && self.head.strides.iter().all(|&s| s > 0),
+            "head.strides",
+            format!("{:?}, at least one, all over 0", self.head.strides),
+        )?;
+        known(
+            self.head.kind != HeadKind::NanodetPlus || (2..=64).contains(&self.head.bins),
+            "head.bins",
+            format!("{}, nanodet-plus needs 2 to 64", self.head.bins),
+        )?;
+        known(!self.class.is_empty(), "class", "none named, so nothing would be found".into())?;
+        for column in &self.class {
+            known(
+                column.index < self.head.classes,
+                "class.index",
+                format!("{} of {} columns", column.index, self.head.classes),
+            )?;
+        }
+        known(
+            in_range(self.thresholds.score) && in_range(self.thresholds.iou),
+            "thresholds",
+            format!("{:?}, both must be 0 to 1", self.thresholds),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_known_sidecars_are_right() {
+        for (name, text) in KNOWN {
+            Sidecar::parse(text, Path::new(name)).expect(name);
+        }
+    }
+
+    #[test]
+    fn wrong_values_are_named() {
+        let good = KNOWN[0].1;
+        for (from, to, key) in [
+            ("width_px = 640", "width_px = 0", "input"),
+            ("bins = 8", "bins = 1", "head.bins"),
+            ("index = 2\n", "index = 80\n", "class.index"),
+            ("iou = 0.6", "iou = 60", "thresholds"),
+            ("57.375", "0.0", "input.std"),
+            ("licence", "license", "license"),
+            ("\"car\"", "\"tram\"", "tram"),
+        ] {
+            let bad = good.replacen(from, to, 1);
+            assert_ne!(bad, good, "{from}");
+            let error = Sidecar::parse(&bad, Path::new("x.toml")).expect_err(key).to_string();
+            assert!(error.contains(key) && error.contains("x.toml"), "{error}");
+        }
+    }
+}

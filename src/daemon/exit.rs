@@ -1,0 +1,138 @@
+//! How the program ends: every failure of a command, with its sysexits code.
+//!
+//! Owns the mapping from errors to exit codes (`sysexits.h`), so that a supervisor can tell
+//! a wrong file from a missing one without reading the message.
+
+use super::capture::{CaptureError, RecordingError, SnapshotError};
+use super::config::ConfigError;
+use super::detect::{DetectError, ModelError, SidecarError};
+use super::locate::LocateError;
+use crate::density::AggregateError;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Wrong input data.
+pub const DATAERR: u8 = 65;
+/// An input file that is missing or cannot be read.
+pub const NOINPUT: u8 = 66;
+/// A service (broker, camera) that is not there.
+pub const UNAVAILABLE: u8 = 69;
+/// A fault of the program.
+pub const SOFTWARE: u8 = 70;
+/// An output file that cannot be made.
+pub const CANTCREAT: u8 = 73;
+/// Wrong configuration.
+pub const CONFIG: u8 = 78;
+
+/// Why a command failed.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The recording.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// A picture or the camera.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// The camera's address.
+    #[error(transparent)]
+    Snapshot(#[from] SnapshotError),
+    /// The model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// Inference.
+    #[error(transparent)]
+    Detect(#[from] DetectError),
+    /// The lane table.
+    #[error(transparent)]
+    Locate(#[from] LocateError),
+    /// The windows.
+    #[error(transparent)]
+    Aggregate(#[from] AggregateError),
+    /// Every single picture of a recording failed.
+    #[error("none of the {frames} frames could be measured; the first fault: {first}")]
+    NothingMeasured {
+        /// Frames in the recording.
+        frames: usize,
+        /// The first fault.
+        first: String,
+    },
+    /// An output file.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The broker.
+    #[error("broker {host}:{port}: {reason}; is it running, and are host and port right?")]
+    Broker {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+        /// What happened.
+        reason: String,
+    },
+    /// Checks that did not pass.
+    #[error("{failed} of {checks} checks failed")]
+    Checks {
+        /// How many failed.
+        failed: usize,
+        /// How many ran.
+        checks: usize,
+        /// Exit code of the first that failed.
+        code: u8,
+    },
+    /// The demo's files are not there.
+    #[error("the demo needs {what}: {hint}")]
+    DemoFiles {
+        /// What is missing.
+        what: String,
+        /// What to do.
+        hint: &'static str,
+    },
+    /// A part of the demo or the benchmark did not do its work.
+    #[error("{0}")]
+    Internal(String),
+}
+
+impl Failure {
+    /// No picture came, as against one that cannot be measured.
+    pub fn is_missing_picture(&self) -> bool {
+        matches!(self, Self::Capture(fault) if !fault.is_damage())
+    }
+
+    /// The exit code.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Config(ConfigError::Read { .. }) => NOINPUT,
+            Self::Config(_) | Self::Aggregate(_) | Self::Snapshot(SnapshotError::Url { .. }) => {
+                CONFIG
+            }
+            Self::Recording(RecordingError::Interval(_)) => CONFIG,
+            Self::Recording(_) | Self::DemoFiles { .. } => NOINPUT,
+            Self::Capture(CaptureError::Read { .. }) => NOINPUT,
+            Self::Capture(CaptureError::Decode { .. }) | Self::NothingMeasured { .. } => DATAERR,
+            Self::Capture(CaptureError::Snapshot(_)) | Self::Snapshot(_) => UNAVAILABLE,
+            Self::Broker { .. } => UNAVAILABLE,
+            Self::Model(ModelError::Read { .. }) => NOINPUT,
+            Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,
+            Self::Model(_) => DATAERR,
+            Self::Locate(LocateError::Read { .. }) => NOINPUT,
+            Self::Locate(_) => DATAERR,
+            Self::Write { .. } => CANTCREAT,
+            Self::Checks { code, .. } => *code,
+            Self::Detect(_) | Self::Internal(_) => SOFTWARE,
+        }
+    }
+}
+
+impl From<&Failure> for ExitCode {
+    fn from(failure: &Failure) -> Self {
+        Self::from(failure.code())
+    }
+}

@@ -1,0 +1,75 @@
+//! The plain values that pass from one stage of the line to the next.
+//!
+//! Owns their shape and nothing else; stages know these types and never each other.
+
+use crate::units::{ImageSize, UtcMs, VehicleClass};
+
+/// One picture as the camera gave it. Its buffers are kept from frame to frame.
+#[derive(Debug, Default)]
+pub struct Frame {
+    /// When it was taken.
+    pub time: UtcMs,
+    /// Where it came from, for messages: a file name or `snapshot`.
+    pub name: String,
+    /// Its pixels.
+    pub picture: Picture,
+}
+
+/// Pixels in RGB, 8 bits a channel, row by row.
+#[derive(Debug, Default)]
+pub struct Picture {
+    /// Columns, px.
+    pub width: usize,
+    /// Rows, px.
+    pub height: usize,
+    /// `width * height * 3` bytes.
+    pub rgb: Vec<u8>,
+}
+
+impl Picture {
+    /// Its size; `None` for a picture too large for a lane table to address.
+    pub fn size(&self) -> Option<ImageSize> {
+        let (width, height) = (self.width.try_into().ok()?, self.height.try_into().ok()?);
+        Some(ImageSize { width, height })
+    }
+}
+
+/// An axis-aligned box in the picture, px.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelBox {
+    /// Left edge.
+    pub x0: f32,
+    /// Upper edge.
+    pub y0: f32,
+    /// Right edge.
+    pub x1: f32,
+    /// Lower edge.
+    pub y1: f32,
+}
+
+impl PixelBox {
+    /// Its area, px².
+    pub fn area(&self) -> f32 {
+        (self.x1 - self.x0).max(0.0) * (self.y1 - self.y0).max(0.0)
+    }
+
+    /// Intersection over union with `other`, 0 to 1.
+    pub fn iou(&self, other: &Self) -> f32 {
+        let width = self.x1.min(other.x1) - self.x0.max(other.x0);
+        let height = self.y1.min(other.y1) - self.y0.max(other.y0);
+        let intersection = width.max(0.0) * height.max(0.0);
+        let union = self.area() + other.area() - intersection;
+        if union > 0.0 { intersection / union } else { 0.0 }
+    }
+}
+
+/// One vehicle found in a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detection {
+    /// Where, in pixels of the picture.
+    pub bounds: PixelBox,
+    /// How sure the model is, 0 to 1.
+    pub score: f32,
+    /// What kind of vehicle.
+    pub class: VehicleClass,
+}

@@ -1,0 +1,203 @@
+//! Locate: the third stage, from a box in the picture to a place in a lane.
+//!
+//! Owns which point of a box stands for the vehicle, and the lane table's file. Does not
+//! count.
+
+use super::flow::{Detection, PixelBox};
+use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
+use crate::units::{ImagePoint, ImageSize, VehicleClass};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Largest table file that is read, bytes: the largest table, with room for its header.
+const MAX_TABLE_BYTES: u64 = MAX_CELLS as u64 * 5 + 4096;
+/// A box that ends this close to the picture's lower edge, px, is cut off by it: where the
+/// vehicle meets the road is not in the picture.
+const EDGE_PX: f32 = 0.5;
+/// Largest difference of aspect ratio between picture and table.
+const MAX_ASPECT_ERROR: f64 = 0.01;
+
+/// Which point of a box is looked up in the table.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Anchor {
+    /// Where the vehicle meets the road: the middle of the box's lower edge.
+    #[default]
+    GroundContact,
+    /// The middle of the box, as the paper has it; it lies above the road, so that the
+    /// look-up finds a place behind the vehicle. For comparison.
+    BoxCentre,
+}
+
+impl Anchor {
+    /// The point, in pixels of the picture; `None` where it lies outside.
+    fn of(self, bounds: &PixelBox, picture: ImageSize) -> Option<ImagePoint> {
+        let u = (bounds.x0 + bounds.x1) / 2.0;
+        match self {
+            Self::GroundContact if bounds.y1 >= f32::from(picture.height) - EDGE_PX => None,
+            Self::GroundContact => Some(ImagePoint { u, v: bounds.y1 }),
+            Self::BoxCentre => Some(ImagePoint { u, v: (bounds.y0 + bounds.y1) / 2.0 }),
+        }
+    }
+}
+
+/// One vehicle in its lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Located {
+    /// Lane and distance.
+    pub place: Place,
+    /// What kind of vehicle.
+    pub class: VehicleClass,
+}
+
+/// Why a lane table cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum LocateError {
+    /// It cannot be read.
+    #[error("lane table {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// It is damaged, or none.
+    #[error("lane table {}: {source}", path.display())]
+    Table {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: LaneTableError,
+    },
+    /// It belongs to another camera.
+    #[error(
+        "lane table {} belongs to camera {found:?}, this is camera {expected:?}: give the \
+         table of this camera", path.display()
+    )]
+    Camera {
+        /// The file.
+        path: PathBuf,
+        /// Camera of the table.
+        found: String,
+        /// Camera of the configuration.
+        expected: String,
+    },
+    /// The picture has another shape than the table.
+    #[error(
+        "a picture of {picture} does not fit the lane table of camera {camera:?}, made for \
+         {table}: wrong camera, or its stream was changed"
+    )]
+    Shape {
+        /// Camera of the table.
+        camera: String,
+        /// Size of the picture.
+        picture: String,
+        /// Size of the table.
+        table: ImageSize,
+    },
+}
+
+/// A lane table ready for look-ups.
+#[derive(Debug)]
+pub struct Locator {
+    table: LaneTable<Vec<u8>>,
+    anchor: Anchor,
+}
+
+impl Locator {
+    /// Reads and checks a table. With `camera`, a table of another camera is refused.
+    ///
+    /// # Errors
+    /// [`LocateError`] says what is wrong with the file.
+    pub fn load(path: &Path, camera: Option<&str>, anchor: Anchor) -> Result<Self, LocateError> {
+        let read = |source| LocateError::Read { path: path.to_owned(), source };
+        let mut bytes = Vec::new();
+        let file = std::fs::File::open(path).map_err(read)?;
+        file.take(MAX_TABLE_BYTES).read_to_end(&mut bytes).map_err(read)?;
+        let table = LaneTable::parse(bytes)
+            .map_err(|source| LocateError::Table { path: path.to_owned(), source })?;
+        let found = table.description().camera_id.as_str();
+        if let Some(expected) = camera
+            && expected != found
+        {
+            return Err(LocateError::Camera {
+                path: path.to_owned(),
+                found: found.to_owned(),
+                expected: expected.to_owned(),
+            });
+        }
+        Ok(Self { table, anchor })
+    }
+
+    /// What the table says about itself.
+    pub fn description(&self) -> &Description {
+        self.table.description()
+    }
+
+    /// Checks that a picture of this size belongs to the table. A picture of another size
+    /// and the same shape does: the camera's stream, scaled.
+    ///
+    /// # Errors
+    /// [`LocateError::Shape`].
+    pub fn check_size(&self, width: usize, height: usize) -> Result<ImageSize, LocateError> {
+        let table = self.description().image_size;
+        let aspect = |width: f64, height: f64| width / height;
+        let expected = aspect(f64::from(table.width), f64::from(table.height));
+        let actual = aspect(width as f64, height as f64);
+        let size = u16::try_from(width).ok().zip(u16::try_from(height).ok());
+        match size {
+            Some((width, height)) if (actual / expected - 1.0).abs() < MAX_ASPECT_ERROR => {
+                Ok(ImageSize { width, height })
+            }
+            _ => Err(LocateError::Shape {
+                camera: self.description().camera_id.as_str().to_owned(),
+                picture: format!("{width}x{height}"),
+                table,
+            }),
+        }
+    }
+
+    /// Where a point of the table's picture lies on the road.
+    pub fn place(&self, point: ImagePoint) -> Option<Place> {
+        self.table.place(point)
+    }
+
+    /// Puts the vehicles of a picture into their lanes; those outside are left out.
+    pub fn locate(&self, detections: &[Detection], picture: ImageSize, located: &mut Vec<Located>) {
+        located.clear();
+        let table = self.description().image_size;
+        let scale_u = f32::from(table.width) / f32::from(picture.width);
+        let scale_v = f32::from(table.height) / f32::from(picture.height);
+        for detection in detections {
+            let Some(point) = self.anchor.of(&detection.bounds, picture) else { continue };
+            let point = ImagePoint { u: point.u * scale_u, v: point.v * scale_v };
+            if let Some(place) = self.table.place(point) {
+                located.push(Located { place, class: detection.class });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PICTURE: ImageSize = ImageSize { width: 320, height: 240 };
+
+    fn bounds(y1: f32) -> PixelBox {
+        PixelBox { x0: 10.0, y0: 20.0, x1: 30.0, y1 }
+    }
+
+    #[test]
+    fn a_vehicle_stands_where_it_meets_the_road() {
+        let contact = Anchor::GroundContact.of(&bounds(60.0), PICTURE);
+        assert_eq!(contact, Some(ImagePoint { u: 20.0, v: 60.0 }));
+        let centre = Anchor::BoxCentre.of(&bounds(60.0), PICTURE);
+        assert_eq!(centre, Some(ImagePoint { u: 20.0, v: 40.0 }));
+    }
+
+    #[test]
+    fn a_vehicle_cut_off_by_the_picture_has_no_contact_point() {
+        assert_eq!(Anchor::GroundContact.of(&bounds(240.0), PICTURE), None);
+        assert!(Anchor::GroundContact.of(&bounds(239.0), PICTURE).is_some());
+    }
+}

@@ -1,0 +1,64 @@
+//! Output files that are there whole or not at all.
+
+use super::exit::Failure;
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// A file that appears under its name when it is finished.
+#[derive(Debug)]
+pub struct WholeFile {
+    path: PathBuf,
+    partial: PathBuf,
+    writer: BufWriter<File>,
+    finished: bool,
+}
+
+impl WholeFile {
+    /// Begins a file that will be `path`.
+    ///
+    /// # Errors
+    /// [`Failure::Write`], as all that follow.
+    pub fn create(path: &Path) -> Result<Self, Failure> {
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(".partial");
+        let partial = path.with_file_name(name);
+        let file = File::create(&partial)
+            .map_err(|source| Failure::Write { path: path.to_owned(), source })?;
+        let writer = BufWriter::new(file);
+        Ok(Self { path: path.to_owned(), partial, writer, finished: false })
+    }
+
+    /// Adds a line.
+    ///
+    /// # Errors
+    /// [`Failure::Write`].
+    pub fn line(&mut self, line: &str) -> Result<(), Failure> {
+        writeln!(self.writer, "{line}").map_err(|source| self.failed(source))
+    }
+
+    /// Puts the file in its place.
+    ///
+    /// # Errors
+    /// [`Failure::Write`].
+    pub fn finish(mut self) -> Result<(), Failure> {
+        let synced = self.writer.flush().and_then(|()| self.writer.get_ref().sync_all());
+        synced
+            .and_then(|()| fs::rename(&self.partial, &self.path))
+            .map_err(|source| self.failed(source))?;
+        self.finished = true;
+        Ok(())
+    }
+
+    fn failed(&self, source: std::io::Error) -> Failure {
+        Failure::Write { path: self.path.clone(), source }
+    }
+}
+
+impl Drop for WholeFile {
+    fn drop(&mut self) {
+        if !self.finished {
+            let _ = fs::remove_file(&self.partial);
+        }
+    }
+}

@@ -1,0 +1,515 @@
+//! A scene: everything about a recording but its seed, read from a small TOML file.
+//!
+//! Owns the keys and their defaults; every key's range is checked in `check.rs`, and unknown
+//! keys are refused. Owns no behaviour: the road, the traffic, the picture each read their part.
+
+mod check;
+
+use std::path::Path;
+
+use nalgebra::Point3;
+use serde::Deserialize;
+
+use crate::camera::{Attitude, Camera};
+use crate::error::{Error, Result};
+use crate::road::{Direction, Piece, Road};
+use crate::time::UtcMs;
+
+/// One camera over one street.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Name of the scene; becomes the camera's id.
+    pub name: String,
+    /// UTC time of the first frame, RFC 3339 with `Z`.
+    pub start: String,
+    /// Time between frames, s.
+    pub interval_s: f64,
+    /// Traffic runs so long before the first frame, s.
+    #[serde(default = "default_warmup_s")]
+    pub warmup_s: f64,
+    /// The camera.
+    pub camera: CameraSpec,
+    /// What the camera does to its picture.
+    #[serde(default)]
+    pub imaging: Imaging,
+    /// Light and weather.
+    #[serde(default)]
+    pub light: Light,
+    /// The reference line.
+    pub road: RoadSpec,
+    /// The lanes, numbered from 1 in this order.
+    #[serde(rename = "lane")]
+    pub lanes: Vec<LaneSpec>,
+    /// Painted lines along the road.
+    #[serde(default, rename = "marking")]
+    pub markings: Vec<Marking>,
+    /// What lies beside the lanes.
+    #[serde(default)]
+    pub roadside: Roadside,
+    /// Shares of vehicle classes.
+    #[serde(default)]
+    pub fleet: FleetMix,
+    /// Where density is measured.
+    #[serde(default)]
+    pub measure: Measure,
+    /// What goes wrong with the camera.
+    #[serde(default)]
+    pub faults: Faults,
+}
+
+fn default_warmup_s() -> f64 {
+    300.0
+}
+
+/// Pose and optics. The camera stands at world (0, 0, `height_m`).
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraSpec {
+    /// Picture width, px.
+    pub width: u32,
+    /// Picture height, px.
+    pub height: u32,
+    /// Focal length, px.
+    pub focal_px: f64,
+    /// Height over the road, m.
+    pub height_m: f64,
+    /// Angle below the horizon, degrees.
+    pub tilt_deg: f64,
+    /// Clockwise turn from +Y, degrees.
+    #[serde(default)]
+    pub pan_deg: f64,
+    /// Clockwise turn of the picture's content, degrees.
+    #[serde(default)]
+    pub roll_deg: f64,
+    /// Radial distortion k1.
+    #[serde(default)]
+    pub k1: f64,
+}
+
+/// The chain from lens to file of a cheap traffic camera.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Imaging {
+    /// JPEG quality, 1 to 100.
+    pub jpeg_quality: u8,
+    /// Standard deviation of the luma noise, 8-bit levels.
+    pub noise_levels: f64,
+    /// Standard deviation of the lens blur, px.
+    pub blur_px: f64,
+    /// Strength of the sharpening halo: 0 none, 1 strong.
+    pub sharpening: f64,
+    /// Horizontal smear of colour as on an analogue line, px.
+    pub chroma_smear_px: f64,
+    /// Samples per pixel side of the drawing, 1 to 4; 0 chooses 3 up to 400 px width, else 2.
+    pub supersampling: u32,
+}
+
+impl Default for Imaging {
+    fn default() -> Self {
+        Imaging {
+            jpeg_quality: 75,
+            noise_levels: 2.0,
+            blur_px: 0.5,
+            sharpening: 0.5,
+            chroma_smear_px: 1.0,
+            supersampling: 0,
+        }
+    }
+}
+
+/// Time of day.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Daylight {
+    /// Sun or overcast sky.
+    Day,
+    /// After sunset, vehicles' lights on.
+    Dusk,
+    /// Street lamps and headlights only.
+    Night,
+}
+
+/// Light and weather.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Light {
+    /// Time of day.
+    pub daylight: Daylight,
+    /// Cloud: 0 clear sun with hard shadows, 1 overcast.
+    pub cloud: f64,
+    /// Sun azimuth, degrees clockwise from +Y.
+    pub sun_azimuth_deg: f64,
+    /// Sun height over the horizon, degrees.
+    pub sun_elevation_deg: f64,
+    /// Rain: 0 dry, 1 heavy.
+    pub rain: f64,
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        Light {
+            daylight: Daylight::Day,
+            cloud: 0.3,
+            sun_azimuth_deg: 215.0,
+            sun_elevation_deg: 48.0,
+            rain: 0.0,
+        }
+    }
+}
+
+/// The reference line: from a point near the camera, away from it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RoadSpec {
+    /// World X of the start, m.
+    pub start_x_m: f64,
+    /// World Y of the start, m.
+    pub start_y_m: f64,
+    /// Heading at the start, degrees clockwise from +Y.
+    #[serde(default)]
+    pub heading_deg: f64,
+    /// Left edge of the carriageway from the reference line, m (negative is left).
+    pub left_edge_m: f64,
+    /// Right edge of the carriageway, m.
+    pub right_edge_m: f64,
+    /// Brightness of the asphalt, 0 black to 1 white.
+    #[serde(default = "default_asphalt")]
+    pub asphalt: f64,
+    /// The pieces, end to end.
+    #[serde(rename = "piece")]
+    pub pieces: Vec<Piece>,
+}
+
+fn default_asphalt() -> f64 {
+    0.17
+}
+
+/// One lane and its demand.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LaneSpec {
+    /// Centre right of the reference line, m.
+    pub offset_m: f64,
+    /// Width, m.
+    pub width_m: f64,
+    /// Way of travel.
+    pub direction: Direction,
+    /// Mean arrivals at the upstream end, veh/h.
+    pub inflow_veh_h: f64,
+    /// Desired speed of the average driver, km/h.
+    pub speed_km_h: f64,
+    /// A signalised stop line.
+    pub signal: Option<Signal>,
+    /// A stretch that slows traffic.
+    pub slowdown: Option<Slowdown>,
+}
+
+/// A fixed-time signal at a stop line. Starts green.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Signal {
+    /// Stop line along the lane from the road's start, m.
+    pub at_m: f64,
+    /// Green time, s.
+    pub green_s: f64,
+    /// Red time, s.
+    pub red_s: f64,
+    /// Start of the first green, s after the first frame (may be negative).
+    #[serde(default)]
+    pub offset_s: f64,
+}
+
+/// A stretch on which drivers want to go slower, all the time or in pulses.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Slowdown {
+    /// Start along the lane from the road's start, m.
+    pub from_m: f64,
+    /// End along the lane, m.
+    pub to_m: f64,
+    /// Desired speed there, km/h.
+    pub speed_km_h: f64,
+    /// Period of the pulses, s; absent means always slow.
+    pub period_s: Option<f64>,
+    /// Slow part of each period, s.
+    #[serde(default)]
+    pub active_s: f64,
+}
+
+/// A painted line along the road.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Marking {
+    /// Centre right of the reference line, m.
+    pub offset_m: f64,
+    /// Width, m.
+    #[serde(default = "default_marking_width")]
+    pub width_m: f64,
+    /// Length of a dash, m; absent is a solid line.
+    pub dash_m: Option<f64>,
+    /// Gap between dashes, m.
+    #[serde(default)]
+    pub gap_m: f64,
+    /// Yellow and not white.
+    #[serde(default)]
+    pub yellow: bool,
+}
+
+fn default_marking_width() -> f64 {
+    0.12
+}
+
+/// What lies and stands beside the carriageway.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Roadside {
+    /// Strips of ground, later ones over earlier ones; elsewhere grass.
+    #[serde(rename = "strip")]
+    pub strips: Vec<Strip>,
+    /// Walls and rails along the road. They hide what is behind them.
+    #[serde(rename = "barrier")]
+    pub barriers: Vec<Barrier>,
+    /// Rows of trees. Scenery: must not stand between the camera and a lane.
+    #[serde(rename = "trees")]
+    pub trees: Vec<TreeRow>,
+    /// Rows of buildings. Scenery, as trees.
+    #[serde(rename = "buildings")]
+    pub buildings: Vec<BuildingRow>,
+    /// Footbridges across the road. Scenery, as trees: put them beyond the measured lanes.
+    #[serde(rename = "bridge")]
+    pub bridges: Vec<Bridge>,
+    /// Rows of street lamps.
+    #[serde(rename = "lamps")]
+    pub lamps: Vec<LampRow>,
+}
+
+/// What a strip of ground is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Ground {
+    /// Mown grass.
+    Grass,
+    /// Paving stones.
+    Pavement,
+    /// Concrete.
+    Concrete,
+    /// Low shrubs.
+    Planting,
+}
+
+/// A strip of ground along the road.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Strip {
+    /// Left edge right of the reference line, m.
+    pub from_m: f64,
+    /// Right edge, m.
+    pub to_m: f64,
+    /// Surface.
+    pub ground: Ground,
+}
+
+/// A wall along the road.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Barrier {
+    /// Centre right of the reference line, m.
+    pub offset_m: f64,
+    /// Height, m.
+    pub height_m: f64,
+    /// Thickness, m.
+    pub width_m: f64,
+    /// A hedge and not concrete.
+    #[serde(default)]
+    pub hedge: bool,
+}
+
+/// A row of trees.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TreeRow {
+    /// Centre right of the reference line, m.
+    pub offset_m: f64,
+    /// First tree along the road, m.
+    pub from_m: f64,
+    /// Last tree along the road, m.
+    pub to_m: f64,
+    /// Distance between trees, m.
+    pub spacing_m: f64,
+    /// Mean height, m.
+    pub height_m: f64,
+}
+
+/// A row of buildings.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BuildingRow {
+    /// Front right of the reference line, m (negative is left).
+    pub offset_m: f64,
+    /// Start along the road, m.
+    pub from_m: f64,
+    /// End along the road, m.
+    pub to_m: f64,
+    /// Mean height, m.
+    pub height_m: f64,
+}
+
+/// A bridge across the road.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bridge {
+    /// Place along the road, m.
+    pub at_m: f64,
+    /// Underside over the road, m.
+    pub clearance_m: f64,
+    /// Height of deck and railing, m.
+    pub depth_m: f64,
+    /// Half its span, m.
+    pub half_span_m: f64,
+}
+
+/// A row of street lamps.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LampRow {
+    /// Post right of the reference line, m.
+    pub offset_m: f64,
+    /// First lamp along the road, m.
+    pub from_m: f64,
+    /// Last lamp along the road, m.
+    pub to_m: f64,
+    /// Distance between lamps, m.
+    pub spacing_m: f64,
+    /// Height, m.
+    pub height_m: f64,
+}
+
+/// Shares of vehicle classes; any scale.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FleetMix {
+    /// The five car models, equally.
+    pub car: f64,
+    /// Vans.
+    pub van: f64,
+    /// Buses.
+    pub bus: f64,
+    /// Trucks.
+    pub truck: f64,
+    /// Motorcycles.
+    pub motorcycle: f64,
+    /// Share of cars painted as taxis, 0 to 1.
+    pub taxi_share: f64,
+}
+
+impl Default for FleetMix {
+    fn default() -> Self {
+        FleetMix { car: 0.78, van: 0.1, bus: 0.03, truck: 0.06, motorcycle: 0.03, taxi_share: 0.0 }
+    }
+}
+
+/// Which stretch of a lane counts.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Measure {
+    /// The far end is where a 1.45 m high car is this high in the picture, px.
+    pub min_car_height_px: f64,
+    /// The far end is at most this far along the lane from the road's start, m.
+    pub far_m: f64,
+    /// Vehicles are whole within this distance of the picture's edge, px.
+    pub edge_margin_px: f64,
+}
+
+impl Default for Measure {
+    fn default() -> Self {
+        Measure { min_car_height_px: 8.0, far_m: 1000.0, edge_margin_px: 2.0 }
+    }
+}
+
+/// What goes wrong with the camera. Times are seconds after the first frame.
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Faults {
+    /// Amplitude of the sway of the pole, px at the picture's centre.
+    pub shake_px: f64,
+    /// The operator turns the camera.
+    pub ptz: Option<Ptz>,
+    /// From here on the same picture is sent again and again.
+    pub frozen_from_s: Option<f64>,
+    /// From here on pictures are black.
+    pub black_from_s: Option<f64>,
+    /// Frozen or black pictures end here; absent means never.
+    pub until_s: Option<f64>,
+}
+
+/// A move of the camera to another view, for good.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ptz {
+    /// When, s after the first frame.
+    pub at_s: f64,
+    /// Change of pan, degrees clockwise.
+    #[serde(default)]
+    pub pan_deg: f64,
+    /// Change of tilt, degrees downwards.
+    #[serde(default)]
+    pub tilt_deg: f64,
+    /// Factor on the focal length.
+    #[serde(default = "default_zoom")]
+    pub zoom: f64,
+}
+
+fn default_zoom() -> f64 {
+    1.0
+}
+
+impl Scene {
+    /// Reads and checks a scene file.
+    ///
+    /// # Errors
+    /// [`Error::SceneRead`], [`Error::SceneSyntax`], [`Error::SceneValue`].
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| Error::SceneRead { path: path.to_path_buf(), source })?;
+        Self::parse(&text, &path.display().to_string())
+    }
+
+    /// Reads and checks a scene's text; `origin` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::SceneSyntax`], [`Error::SceneValue`].
+    pub fn parse(text: &str, origin: &str) -> Result<Self> {
+        let scene: Scene = toml::from_str(text).map_err(|fault| Error::SceneSyntax {
+            origin: origin.to_owned(),
+            message: fault.to_string().trim_end().to_owned(),
+        })?;
+        scene.check(origin)?;
+        Ok(scene)
+    }
+
+    /// The camera as installed, without faults.
+    pub fn camera(&self) -> Camera {
+        let spec = &self.camera;
+        let attitude = Attitude {
+            pan: spec.pan_deg.to_radians(),
+            tilt: spec.tilt_deg.to_radians(),
+            roll: spec.roll_deg.to_radians(),
+        };
+        let eye = Point3::new(0.0, 0.0, spec.height_m);
+        Camera::new((spec.width, spec.height), spec.focal_px, spec.k1, eye, attitude)
+    }
+
+    /// The reference line.
+    pub fn reference_line(&self) -> Road {
+        let spec = &self.road;
+        let start = [spec.start_x_m, spec.start_y_m];
+        Road::new(start, spec.heading_deg.to_radians(), &spec.pieces)
+    }
+
+    /// The instant of a frame, counted from 0.
+    pub fn frame_time(&self, frame: usize) -> UtcMs {
+        let start = UtcMs::parse(&self.start).expect("check() has parsed the start time");
+        start.plus_s(frame as f64 * self.interval_s)
+    }
+}

@@ -1,0 +1,189 @@
+//! The street in time: all lanes' traffic on the road, and where each vehicle is in the world.
+//!
+//! Owns the clock of the simulation and the placing of vehicles. Car following is `traffic/`,
+//! pictures are `render/`, what is measured is `truth.rs`.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::error::Result;
+use crate::measured::{MeasuredLane, measured_lanes};
+use crate::random::Stream;
+use crate::road::{Direction, LaneLine, Road};
+use crate::scene::Scene;
+use crate::traffic::{Fleet, LaneTraffic, Vehicle};
+use crate::vehicle::{MODELS, Model};
+use crate::vehicle::paint::Livery;
+
+/// Car following is integrated in steps of at most this, s.
+const LONGEST_STEP_S: f64 = 0.1;
+
+/// A vehicle at an instant, in the world.
+#[derive(Debug, Clone)]
+pub struct Placed {
+    /// Unique in the recording, from 1.
+    pub id: u64,
+    /// Index into [`MODELS`].
+    pub model_index: usize,
+    /// Lane number from 0.
+    pub lane: usize,
+    /// Distance of the footprint's centre along the lane from the road's start, m.
+    pub lane_s_m: f64,
+    /// Speed, m/s.
+    pub speed_m_s: f64,
+    /// The brake lights are on.
+    pub braking: bool,
+    /// Colours.
+    pub livery: Livery,
+    /// Centre of the footprint, world (X, Y) m.
+    pub centre: [f64; 2],
+    /// Direction of travel, radians clockwise from +Y.
+    pub heading: f64,
+}
+
+impl Placed {
+    /// Its model.
+    pub fn model(&self) -> &'static Model {
+        &MODELS[self.model_index]
+    }
+
+    /// The world point of a point of the model frame, m.
+    pub fn world(&self, point: [f64; 3]) -> Point3<f64> {
+        let middle = self.model().centre_m();
+        let offset = self.turn(Vector3::new(point[0] - middle[0], point[1] - middle[1], point[2]));
+        Point3::new(self.centre[0] + offset.x, self.centre[1] + offset.y, offset.z)
+    }
+
+    /// The world direction of a direction of the model frame.
+    pub fn turn(&self, v: Vector3<f64>) -> Vector3<f64> {
+        // Model +Y is against travel, +X = Y x Z.
+        let (sin, cos) = self.heading.sin_cos();
+        Vector3::new(-cos * v.x - sin * v.y, sin * v.x - cos * v.y, v.z)
+    }
+}
+
+/// All vehicles at one instant.
+#[derive(Debug, Clone)]
+pub struct Snapshot {
+    /// Time after the first frame, s.
+    pub time_s: f64,
+    /// Vehicles, by lane and then from downstream to upstream.
+    pub vehicles: Vec<Placed>,
+    /// Per lane: its signal shows red.
+    pub red: Vec<bool>,
+}
+
+/// A street whose traffic runs.
+#[derive(Debug, Clone)]
+pub struct Simulation {
+    scene: Scene,
+    road: Road,
+    lines: Vec<LaneLine>,
+    lanes: Vec<LaneTraffic>,
+    measured: Vec<MeasuredLane>,
+    time_s: f64,
+    next_id: u64,
+}
+
+impl Simulation {
+    /// A street after its warm-up, at the time of the first frame.
+    ///
+    /// # Errors
+    /// [`crate::error::Error::LaneNotVisible`] when a lane has no stretch to measure.
+    pub fn new(scene: &Scene, seed: u64) -> Result<Self> {
+        let road = scene.reference_line();
+        let lines: Vec<LaneLine> =
+            scene.lanes.iter().map(|lane| LaneLine::new(&road, lane.offset_m)).collect();
+        let measured = measured_lanes(scene, &road, &lines)?;
+        let start_s = -scene.warmup_s;
+        let lanes = scene.lanes.iter().zip(&lines).enumerate();
+        let lanes = lanes
+            .map(|(i, (spec, line))| {
+                let stream = Stream::new(seed, &format!("lane {}", i + 1));
+                let fleet = Fleet::new(scene.fleet, spec.speed_km_h / 3.6, stream);
+                LaneTraffic::new(spec.clone(), line.length_m(), fleet, start_s)
+            })
+            .collect();
+        let scene = scene.clone();
+        let mut street =
+            Simulation { scene, road, lines, lanes, measured, time_s: start_s, next_id: 1 };
+        street.step(-start_s);
+        street.time_s = 0.0;
+        Ok(street)
+    }
+
+    /// Lets traffic run for `dt_s` seconds.
+    pub fn step(&mut self, dt_s: f64) {
+        let steps = (dt_s / LONGEST_STEP_S - 1e-9).ceil().max(0.0) as u64;
+        let from_s = self.time_s;
+        for step in 0..steps {
+            let now_s = from_s + dt_s * step as f64 / steps as f64;
+            for lane in &mut self.lanes {
+                lane.step(now_s, dt_s / steps as f64, &mut self.next_id);
+            }
+        }
+        self.time_s = from_s + dt_s;
+    }
+
+    /// The scene it was made from.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The reference line.
+    pub fn road(&self) -> &Road {
+        &self.road
+    }
+
+    /// The lanes' centre lines, in the scene's order.
+    pub fn lane_lines(&self) -> &[LaneLine] {
+        &self.lines
+    }
+
+    /// The lanes' traffic, in the scene's order.
+    pub fn lanes(&self) -> &[LaneTraffic] {
+        &self.lanes
+    }
+
+    /// The measured stretch of each lane, in the scene's order.
+    pub fn measured(&self) -> &[MeasuredLane] {
+        &self.measured
+    }
+
+    /// Time after the first frame, s.
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// Where everything is now.
+    pub fn snapshot(&self) -> Snapshot {
+        let mut vehicles = Vec::new();
+        for (lane, traffic) in self.lanes.iter().enumerate() {
+            for vehicle in traffic.vehicles() {
+                vehicles.push(self.place(lane, traffic, vehicle));
+            }
+        }
+        let red = self.lanes.iter().map(|lane| lane.is_red(self.time_s)).collect();
+        Snapshot { time_s: self.time_s, vehicles, red }
+    }
+
+    fn place(&self, lane: usize, traffic: &LaneTraffic, vehicle: &Vehicle) -> Placed {
+        let direction = self.scene.lanes[lane].direction;
+        let lane_s_m = traffic.lane_s(vehicle.front_m - vehicle.model().length_m() / 2.0);
+        let place = self.lines[lane].at(&self.road, lane_s_m, vehicle.driver.aside_m);
+        let heading = match direction {
+            Direction::Away => place.heading,
+            Direction::Toward => place.heading + std::f64::consts::PI,
+        };
+        Placed {
+            id: vehicle.id,
+            model_index: vehicle.model_index,
+            lane,
+            lane_s_m,
+            speed_m_s: vehicle.speed_m_s,
+            braking: vehicle.acceleration_m_s2 < -0.4 || vehicle.speed_m_s < 0.3,
+            livery: vehicle.livery,
+            centre: [place.x, place.y],
+            heading,
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! The line does not allocate per frame outside tract and the picture decoder.
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Duration;
+use verge::daemon::capture::{Recorded, Source, decode};
+use verge::daemon::detect::Detector;
+use verge::daemon::flow::{Frame, Picture};
+use verge::daemon::locate::Anchor;
+use verge::daemon::{Counting, LineSettings};
+use verge::density::Start;
+
+/// The system's allocator, counting what this thread asks of it.
+struct Counted;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: every call is passed on unchanged to the system's allocator.
+unsafe impl GlobalAlloc for Counted {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller keeps `alloc`'s contract.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps `dealloc`'s contract.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        ALLOCATIONS.with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller keeps `realloc`'s contract.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counted = Counted;
+
+fn allocations(work: impl FnOnce()) -> usize {
+    let before = ALLOCATIONS.with(Cell::get);
+    work();
+    ALLOCATIONS.with(Cell::get) - before
+}
+
+#[test]
+fn capture_allocates_what_the_decoder_does() {
+    let folder = common::folder();
+    let bytes = common::jpeg(320, 240, 90);
+    for second in 0..6 {
+        let path = folder.path().join(format!("20260105T08000{second}Z.jpg"));
+        std::fs::write(path, &bytes).expect("writing a frame");
+    }
+    let mut source = Source::Recorded(Recorded::open(folder.path(), None).expect("a recording"));
+    let (mut frame, mut picture) = (Frame::default(), Picture::default());
+    for number in 0..6 {
+        let captured = allocations(|| {
+            source.next(&mut frame).expect("a whole frame");
+        });
+        let decoded = allocations(|| decode(&bytes, &mut picture).expect("a whole picture"));
+        // The first frames bring the buffers to their size.
+        if number >= 2 {
+            assert_eq!(captured, decoded, "frame {number}");
+        }
+    }
+}
+
+#[test]
+fn detection_around_the_net_counting_and_windows_do_not_allocate() {
+    let Some(frames) = common::k109f_frames() else { return };
+    let settings = LineSettings {
+        table: common::K109F_TABLE.into(),
+        camera: None,
+        model: common::MODEL.into(),
+        score: None,
+        anchor: Anchor::default(),
+        windows: vec![Duration::from_secs(900)],
+        min_completeness: 0.0,
+        start: Start::WithFirstFrame,
+    };
+    let interval = Duration::from_secs(1);
+    let recorded = Recorded::open(&frames, Some(interval)).expect("a recording");
+    let mut source = Source::Recorded(recorded);
+    let mut counting = Counting::open(&settings, interval).expect("a right table");
+    let mut detector = Detector::load(&settings.model, None).expect("a right model");
+    let (mut frame, mut found) = (Frame::default(), Vec::with_capacity(64));
+    for number in 0..7 {
+        source.next(&mut frame).expect("a whole frame");
+        let size = (frame.picture.width, frame.picture.height);
+        let prepared = allocations(|| detector.prepare(&frame.picture));
+        let output = detector.infer().expect("inference");
+        let rest = allocations(|| {
+            found.clear();
+            detector.read(&frame.picture, &output, &mut found).expect("an output");
+            counting.count(&found, size, frame.time).expect("the table's camera");
+        });
+        assert!(!found.is_empty());
+        if number >= 2 {
+            assert_eq!((prepared, rest), (0, 0), "frame {number}");
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! What the end-to-end tests share: where data lies, and how a test says that it is skipped.
+#![allow(dead_code, reason = "each test file uses its own part")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The model that tests use, through its sidecar.
+pub const MODEL: &str = "models/nanodet_plus_m_coco_640x480.toml";
+/// The lane table of the paper's camera.
+pub const K109F_TABLE: &str = "tests/data/k109f.lut";
+
+/// Says that a test is skipped. With `VERGE_NO_SKIP=1`, as in CI, that is a failure.
+pub fn skip(reason: &str) {
+    eprintln!("skipped: {reason}");
+    let refused = std::env::var_os("VERGE_NO_SKIP").is_some_and(|value| value == "1");
+    assert!(!refused, "VERGE_NO_SKIP=1, and this test was skipped: {reason}");
+}
+
+/// The shared data beside the project, or a skip. Never a failure: it is not part of the
+/// project and no machine can install it.
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let path = Path::new("../shared").join(path);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("skipped: {} is not there", path.display());
+    None
+}
+
+/// The recorded frames of the paper's camera, with the model that searches them.
+pub fn k109f_frames() -> Option<PathBuf> {
+    shared("models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx")?;
+    shared("data/k109f/camera_calibration/K109F/images")
+}
+
+/// Runs verge in the project's folder.
+pub fn verge(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_verge")).args(args).output().expect("the program starts")
+}
+
+/// What a program wrote to standard error.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// A folder for a test, removed with the value.
+pub fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a temporary folder")
+}
+
+/// A JPEG of one colour.
+pub fn jpeg(width: u32, height: u32, grey: u8) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let picture = image::RgbImage::from_pixel(width, height, image::Rgb([grey; 3]));
+    image::codecs::jpeg::JpegEncoder::new(&mut bytes)
+        .encode_image(&picture)
+        .expect("encoding to memory");
+    bytes
+}

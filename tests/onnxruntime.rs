@@ -1,0 +1,92 @@
+//! Our boxes against ONNX Runtime's, computed independently by `reference_detector.py`.
+
+mod common;
+
+use serde_json::Value;
+use std::path::Path;
+use std::process::Command;
+use verge::daemon::flow::PixelBox;
+
+/// How far two boxes of one vehicle may lie apart.
+const IOU: f32 = 0.98;
+const SCORE: f64 = 0.01;
+/// The threshold of both; boxes this close to it may be on either side.
+const THRESHOLD: f64 = 0.3;
+
+type Boxes = Vec<(PixelBox, f64)>;
+
+fn boxes(lines: &str) -> Vec<Boxes> {
+    let read = |line: &str| {
+        let frame: Value = serde_json::from_str(line).expect("JSON Lines");
+        let number = |value: &Value| value.as_f64().expect("a number");
+        frame["boxes"]
+            .as_array()
+            .expect("boxes")
+            .iter()
+            .map(|b| {
+                let side = |i: usize| number(&b[i]) as f32;
+                let bounds = PixelBox { x0: side(0), y0: side(1), x1: side(2), y1: side(3) };
+                (bounds, number(&b[4]))
+            })
+            .collect()
+    };
+    lines.lines().map(read).collect()
+}
+
+/// Every box of `these` that is clearly over the threshold has its like in `those`.
+fn assert_contained(these: &Boxes, those: &Boxes, frame: usize) {
+    for (bounds, score) in these.iter().filter(|(_, score)| *score > THRESHOLD + SCORE) {
+        let alike = |(other, its): &&(PixelBox, f64)| {
+            bounds.iou(other) >= IOU && (score - its).abs() <= SCORE
+        };
+        assert!(those.iter().find(alike).is_some(), "frame {frame}: {bounds:?} {score}");
+    }
+}
+
+#[test]
+fn our_boxes_agree_with_onnx_runtimes() {
+    let Some(frames) = common::k109f_frames() else { return };
+    let has = Command::new("python3").args(["-c", "import onnxruntime, numpy, PIL"]).output();
+    if !has.is_ok_and(|output| output.status.success()) {
+        common::skip("python3 with onnxruntime, numpy and pillow is not installed");
+        return;
+    }
+    // PNG, so that both decode the same pixels.
+    let folder = common::folder();
+    for entry in std::fs::read_dir(&frames).expect("the frames") {
+        let path = entry.expect("an entry").path();
+        let picture = image::open(&path).expect("a whole frame");
+        let name = Path::new(path.file_stem().expect("a name")).with_extension("png");
+        picture.save(folder.path().join(name)).expect("writing a frame");
+    }
+    let folder_name = folder.path().to_str().expect("UTF-8");
+    let ours = folder.path().join("ours.jsonl");
+    let ours_name = ours.to_str().expect("UTF-8");
+    let output = common::verge(&[
+        "detect",
+        "--frames",
+        folder_name,
+        "--detections",
+        ours_name,
+        "--score",
+        "0.3",
+        "--model",
+        common::MODEL,
+    ]);
+    assert!(output.status.success(), "{}", common::stderr(&output));
+    let model = "../shared/models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx";
+    let theirs = Command::new("python3")
+        .args(["tests/reference_detector.py", model, folder_name])
+        .output()
+        .expect("python3 starts");
+    assert!(theirs.status.success(), "{}", common::stderr(&theirs));
+    let ours = boxes(&std::fs::read_to_string(ours).expect("the detections"));
+    let theirs = boxes(std::str::from_utf8(&theirs.stdout).expect("UTF-8"));
+    assert_eq!((ours.len(), theirs.len()), (7, 7));
+    let total: usize = ours.iter().map(Vec::len).sum();
+    assert!(total > 40, "{total} boxes");
+    for (frame, (ours, theirs)) in ours.iter().zip(&theirs).enumerate() {
+        assert_contained(ours, theirs, frame);
+        assert_contained(theirs, ours, frame);
+    }
+}

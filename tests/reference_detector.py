@@ -1,0 +1,73 @@
+"""An independent reading of a model: NumPy and ONNX Runtime, sharing no code with verge.
+
+usage: reference_detector.py MODEL.onnx FOLDER
+
+For every PNG in FOLDER prints {"frame": name, "boxes": [[x0, y0, x1, y1, score], ...]}, in
+pixels of the frame, for a NanoDet-Plus model trained on COCO.
+"""
+
+import json
+import pathlib
+import sys
+
+import numpy as np
+import onnxruntime
+from PIL import Image
+
+VEHICLES = [2, 3, 5, 7]
+SCORE, IOU = 0.3, 0.6
+
+
+def main(model, folder):
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    _, _, height, width = session.get_inputs()[0].shape
+    for path in sorted(pathlib.Path(folder).glob("*.png")):
+        picture = Image.open(path).convert("RGB")
+        scale = min(width / picture.width, height / picture.height)
+        size = (round(picture.width * scale), round(picture.height * scale))
+        left, top = (width - size[0]) // 2, (height - size[1]) // 2
+        canvas = np.full((height, width, 3), 114.0, np.float32)
+        bands = [band.convert("F").resize(size, Image.BILINEAR) for band in picture.split()]
+        canvas[top:top + size[1], left:left + size[0]] = np.stack(bands, -1)
+        bgr = (canvas[..., ::-1] - [103.53, 116.28, 123.675]) / [57.375, 57.12, 58.395]
+        feed = {session.get_inputs()[0].name: bgr.transpose(2, 0, 1)[None].astype(np.float32)}
+        output = session.run(None, feed)[0][0]
+        boxes = decode(output, width, height)
+        boxes[:, [0, 2]] = (boxes[:, [0, 2]] - left) / scale
+        boxes[:, [1, 3]] = (boxes[:, [1, 3]] - top) / scale
+        boxes[:, [0, 2]] = boxes[:, [0, 2]].clip(0, picture.width)
+        boxes[:, [1, 3]] = boxes[:, [1, 3]].clip(0, picture.height)
+        print(json.dumps({"frame": path.name, "boxes": boxes.tolist()}))
+
+
+def decode(output, width, height):
+    cells = []
+    for stride in (8, 16, 32, 64):
+        v, u = np.mgrid[: -(-height // stride), : -(-width // stride)]
+        cells.append(np.stack([u.ravel() * stride, v.ravel() * stride, 0 * u.ravel() + stride], 1))
+    cells = np.concatenate(cells).astype(np.float32)
+    scores = output[:, VEHICLES].max(1)
+    bins = output[:, 80:].reshape(-1, 4, 8)
+    weights = np.exp(bins - bins.max(2, keepdims=True))
+    sides = (weights / weights.sum(2, keepdims=True)) @ np.arange(8) * cells[:, 2:]
+    corners = [cells[:, 0] - sides[:, 0], cells[:, 1] - sides[:, 1],
+               cells[:, 0] + sides[:, 2], cells[:, 1] + sides[:, 3]]
+    boxes = np.stack(corners + [scores], 1)[scores >= SCORE]
+    boxes = boxes[np.argsort(-boxes[:, 4], kind="stable")]
+    kept = []
+    for box in boxes:
+        if all(iou(box, better) <= IOU for better in kept):
+            kept.append(box)
+    return np.array(kept).reshape(-1, 5)
+
+
+def iou(a, b):
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
+    inner = max(width, 0) * max(height, 0)
+    area = lambda box: (box[2] - box[0]) * (box[3] - box[1])
+    return inner / (area(a) + area(b) - inner)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

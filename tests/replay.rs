@@ -1,0 +1,273 @@
+//! `verge replay` and `verge detect` as a user runs them.
+
+mod common;
+
+use common::{K109F_TABLE, MODEL, folder, jpeg, k109f_frames, stderr, verge};
+use serde_json::Value;
+use std::path::Path;
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a path in UTF-8")
+}
+
+#[test]
+fn the_same_replay_gives_the_same_bytes() {
+    let Some(frames) = k109f_frames() else { return };
+    let folder = folder();
+    let once = |name: &str| {
+        let boxes = folder.path().join(name);
+        let output = verge(&[
+            "replay",
+            "--table",
+            K109F_TABLE,
+            "--frames",
+            text(&frames),
+            "--json",
+            "--window",
+            "300",
+            "--interval",
+            "120",
+            "--detections",
+            text(&boxes),
+        ]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        (output.stdout, std::fs::read(boxes).expect("the detections were written"))
+    };
+    let (windows, boxes) = once("a.jsonl");
+    assert_eq!((windows.clone(), boxes.clone()), once("b.jsonl"));
+    let windows: Vec<Value> = lines(&windows);
+    let used: u64 = windows.iter().map(|w| w["lanes"][0]["frames_used"].as_u64().unwrap()).sum();
+    assert_eq!((windows.len(), used), (3, 7), "seven frames in windows of 300 s");
+    assert_eq!(lines::<Value>(&boxes).len(), 7);
+}
+
+fn lines<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> Vec<T> {
+    let text = std::str::from_utf8(bytes).expect("UTF-8");
+    text.lines().map(|line| serde_json::from_str(line).expect("JSON Lines")).collect()
+}
+
+#[test]
+fn vehicles_in_the_four_lanes_agree_with_the_papers_detector() {
+    let Some(frames) = k109f_frames() else { return };
+    let Some(labels) = common::shared("data/k109f/vehicle_detection/outputs/labels") else {
+        return;
+    };
+    let table = lane_table();
+    let mut difference = 0.0;
+    for number in 1..=7 {
+        let name = format!("vehicle_{number:02}");
+        let folder = folder();
+        std::fs::copy(frames.join(format!("{name}.jpg")), folder.path().join("frame.jpg"))
+            .expect("copying a frame");
+        let output = verge(&[
+            "replay",
+            "--table",
+            K109F_TABLE,
+            "--frames",
+            text(folder.path()),
+            "--json",
+            "--interval",
+            "120",
+        ]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let window: Value = serde_json::from_slice(&output.stdout).expect("one window");
+        let lanes = window["lanes"].as_array().expect("lanes");
+        let ours: f64 = lanes.iter().map(|l| l["vehicles_mean"].as_f64().expect("known")).sum();
+        let text = std::fs::read_to_string(labels.join(name + ".txt")).expect("its labels");
+        let papers = text.lines().filter(|line| in_lanes(&table, line)).count() as f64;
+        eprintln!("frame {number}: {ours} vehicles, the paper's detector {papers}");
+        difference += (ours - papers).abs() / 7.0;
+    }
+    eprintln!("mean absolute difference {difference:.2} vehicles");
+    assert!(difference <= 5.0, "{difference}");
+}
+
+type Table = verge::lane::LaneTable<Vec<u8>>;
+
+fn lane_table() -> Table {
+    Table::parse(std::fs::read(K109F_TABLE).expect("it ships")).expect("a right table")
+}
+
+/// Whether a line `class cx cy w h` (parts of the picture) has its lower edge's middle in a
+/// lane.
+fn in_lanes(table: &Table, line: &str) -> bool {
+    let numbers: Vec<f32> = line.split(' ').map(|n| n.parse().expect("a number")).collect();
+    let (u, v) = (numbers[1] * 320.0, (numbers[2] + numbers[4] / 2.0) * 240.0);
+    v < 239.5 && table.place(verge::units::ImagePoint { u, v }).is_some()
+}
+
+#[test]
+fn vehicles_labelled_by_eye_are_put_into_their_lanes() {
+    let text = std::fs::read_to_string("tests/data/k109f/vehicles.json").expect("it ships");
+    let labels: Value = serde_json::from_str(&text).expect("JSON");
+    let table = lane_table();
+    let (mut right, mut wrong) = (0, 0);
+    for frame in labels["frames"].as_array().expect("frames") {
+        for vehicle in frame["vehicles"].as_array().expect("vehicles") {
+            let at = |i: usize| vehicle["contact"][i].as_f64().expect("px") as f32;
+            let point = verge::units::ImagePoint { u: at(0), v: at(1) };
+            // Vehicles before and behind the measured stretch have no lane in the table.
+            let Some(place) = table.place(point) else { continue };
+            let same = u64::from(place.lane.get()) == vehicle["lane"].as_u64().expect("a lane");
+            *if same { &mut right } else { &mut wrong } += 1;
+        }
+    }
+    eprintln!("{right} of {} vehicles in their lane", right + wrong);
+    assert!(right + wrong >= 60);
+    assert!(f64::from(right) >= 0.95 * f64::from(right + wrong));
+}
+
+#[test]
+fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
+    let Some(_) = k109f_frames() else { return };
+    let folder = folder();
+    let file = |name: &str, bytes: &[u8]| {
+        std::fs::write(folder.path().join(name), bytes).expect("writing a frame");
+    };
+    let whole = jpeg(320, 240, 90);
+    file("20260105T080000Z.jpg", &whole);
+    file("20260105T080010Z.jpg", &whole[..whole.len() / 2]);
+    file("20260105T080020Z.jpg", b"");
+    file("20260105T080030Z.jpg", b"<html>no picture</html>");
+    file("20260105T080040Z.jpg", &jpeg(64, 64, 90));
+    file("20260105T080050Z.jpg", &whole);
+    let output = verge(&[
+        "replay",
+        "--table",
+        K109F_TABLE,
+        "--frames",
+        text(folder.path()),
+        "--json",
+        "--window",
+        "60",
+    ]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let said = stderr(&output);
+    for expected in
+        ["080010Z.jpg is left out", "cut off", "empty", "neither JPEG nor PNG", "64x64", "320x240"]
+    {
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+    let window: Value = serde_json::from_slice(&output.stdout).expect("one window");
+    let lane = &window["lanes"][0];
+    assert_eq!((&lane["frames_used"], &lane["frames_expected"]), (&2.into(), &6.into()));
+    assert_eq!(window["from"], "2026-01-05T08:00:00.000Z");
+}
+
+/// Runs replay with these arguments and returns its exit code and what it said.
+fn fails(args: &[&str]) -> (i32, String) {
+    let output = verge(&[&["replay"], args].concat());
+    assert!(output.stdout.is_empty(), "a failed replay prints no window");
+    (output.status.code().expect("an exit code"), stderr(&output))
+}
+
+#[test]
+fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
+    let folder = folder();
+    let frames = folder.path().join("frames");
+    std::fs::create_dir(&frames).expect("a folder");
+    let good = std::fs::read(K109F_TABLE).expect("it ships");
+    let mut flipped = good.clone();
+    flipped[good.len() / 2] ^= 4;
+    let path = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("writing a file");
+        path.to_str().expect("UTF-8").to_owned()
+    };
+    let flipped = path("flipped.lut", &flipped);
+    let cut = path("cut.lut", &good[..1000]);
+    let none = path("none.lut", b"hello, this is a letter and no table");
+    let frames = text(&frames);
+    for (table, code, expected) in [
+        (flipped.as_str(), 65, "checksum"),
+        (&cut, 65, "cut off"),
+        (&none, 65, "mvcalib table"),
+        ("missing.lut", 66, "missing.lut"),
+        (K109F_TABLE, 66, "no .jpg"),
+    ] {
+        let picture = folder.path().join("frames/a.jpg");
+        if table == K109F_TABLE {
+            let _ = std::fs::remove_file(&picture);
+        } else {
+            std::fs::write(&picture, jpeg(320, 240, 9)).expect("writing a frame");
+        }
+        let (actual, said) = fails(&["--table", table, "--frames", frames, "--interval", "1"]);
+        assert_eq!(actual, code, "{said}");
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+    assert_eq!(fails(&["--frames", frames]).0, 64);
+    let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--window", "7"]);
+    assert_eq!(code, 66, "{said}");
+}
+
+#[test]
+fn a_table_of_another_shape_is_refused() {
+    let Some(_) = k109f_frames() else { return };
+    let folder = folder();
+    std::fs::write(folder.path().join("a.jpg"), jpeg(640, 360, 9)).expect("writing a frame");
+    let (code, said) =
+        fails(&["--table", K109F_TABLE, "--frames", text(folder.path()), "--interval", "9"]);
+    assert_eq!(code, 65, "{said}");
+    assert!(said.contains("640x360") && said.contains("K109F"), "{said}");
+}
+
+#[test]
+fn a_wrong_model_is_refused_with_the_reason() {
+    let folder = folder();
+    std::fs::write(folder.path().join("a.jpg"), jpeg(320, 240, 9)).expect("writing a frame");
+    let frames = text(folder.path());
+    let sidecar = std::fs::read_to_string(MODEL).expect("it ships");
+    let detect = |model: &Path| {
+        let boxes = folder.path().join("boxes.jsonl");
+        let output = verge(&[
+            "detect",
+            "--frames",
+            frames,
+            "--detections",
+            text(&boxes),
+            "--model",
+            text(model),
+        ]);
+        assert!(!boxes.exists(), "nothing is left behind");
+        (output.status.code().expect("an exit code"), stderr(&output))
+    };
+    let unknown = folder.path().join("unknown.onnx");
+    std::fs::write(&unknown, b"not a model").expect("writing a file");
+    let (code, said) = detect(&unknown);
+    assert_eq!(code, 65, "{said}");
+    assert!(said.contains("unknown.toml"), "{said}");
+
+    let other = folder.path().join("other.toml");
+    let hash = "\"93cf";
+    assert!(sidecar.contains(hash));
+    std::fs::write(
+        &other,
+        sidecar.replace(
+            "../../shared/models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx",
+            "unknown.onnx",
+        ),
+    )
+    .expect("writing a file");
+    let (code, said) = detect(&other);
+    assert_eq!(code, 65, "{said}");
+    assert!(said.contains("SHA-256"), "{said}");
+
+    let Some(model) = common::shared("models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx")
+    else {
+        return;
+    };
+    let model = std::fs::canonicalize(model).expect("it is there");
+    for (from, to, expected) in [
+        ("width_px = 640", "width_px = 416", "the input"),
+        ("classes = 80", "classes = 81", "the output"),
+    ] {
+        let text = sidecar.replace(from, to).replace(
+            "../../shared/models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx",
+            model.to_str().expect("UTF-8"),
+        );
+        std::fs::write(&other, text).expect("writing a file");
+        let (code, said) = detect(&other);
+        assert_eq!(code, 65, "{said}");
+        assert!(said.contains(expected), "{said}");
+    }
+}

@@ -223,11 +223,13 @@ pub fn minimise(parameters: &Parameters, mut loss: impl FnMut(&Point) -> f64) ->
             if state.generation.is_multiple_of(DECOMPOSE_EVERY) { state.decompose() } else { 1.0 };
 
         history[state.generation % HISTORY] = ranked[0].0;
-        let reason = if condition > MAX_CONDITION {
+        let reason = if !parameters.stop_early {
+            None
+        } else if condition > MAX_CONDITION {
             Some(Termination::Condition)
-        } else if parameters.stop_early && state.sigma * state.axis_lengths.max() < STEP_TOLERANCE {
+        } else if state.sigma * state.axis_lengths.max() < STEP_TOLERANCE {
             Some(Termination::StepTolerance)
-        } else if parameters.stop_early && spread(&history) <= LOSS_TOLERANCE * ranked[0].0.abs() {
+        } else if spread(&history) <= LOSS_TOLERANCE * ranked[0].0.abs() {
             Some(Termination::LossTolerance)
         } else {
             None

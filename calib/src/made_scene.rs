@@ -44,6 +44,26 @@ pub struct Kind {
     pub vehicles: usize,
     /// Length of a segment of the road marks, m.
     pub segment_m: f64,
+    /// Which end of the vehicles the camera sees.
+    pub seen: Seen,
+}
+
+/// Which end of the vehicles the camera sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Seen {
+    /// They come towards it: the paper's eight key points.
+    Front,
+    /// They drive away: back corners, mirrors and the key points of the rear.
+    Rear,
+}
+
+impl Seen {
+    fn shows(self, label: u8) -> bool {
+        match self {
+            Seen::Front => label <= 8,
+            Seen::Rear => label >= 5,
+        }
+    }
 }
 
 /// A made scene.
@@ -64,6 +84,7 @@ pub const HK_LIKE: Kind = Kind {
     fleet: Fleet::Known,
     vehicles: 7,
     segment_m: 6.0,
+    seen: Seen::Front,
 };
 /// Sacramento's: 720 x 480, marks 40 feet apart. Seven vehicles here, six in the paper.
 pub const SAC_LIKE: Kind = Kind { image_size: [720, 480], segment_m: 12.192, ..HK_LIKE };
@@ -122,7 +143,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// A labelled vehicle with its front towards the camera, or `None` when it is not wholly
+/// A labelled vehicle as the camera sees it, or `None` when it is not wholly
 /// in the picture.
 fn vehicle(
     kind: &Kind,
@@ -137,14 +158,20 @@ fn vehicle(
     let unknown = if kind.fleet == Fleet::Known { 0.0 } else { 1.0 };
     let size = (0.04 * unknown * normal(rng)).exp();
     let axes = Vector3::from_fn(|_, _| size * (0.03 * unknown * normal(rng)).exp());
-    let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), 6f64.to_radians() * normal(rng));
-    let hidden = if rng.random_bool(0.5) { 7 } else { 8 };
+    let about = if kind.seen == Seen::Rear { std::f64::consts::PI } else { 0.0 };
+    let yaw = about + 6f64.to_radians() * normal(rng);
+    let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw);
+    // From the front one back corner is hidden, from behind one mirror.
+    let first = if kind.seen == Seen::Rear { 5 } else { 7 };
+    let hidden = if rng.random_bool(0.5) { first } else { first + 1 };
     let [width, height] = kind.image_size.map(f64::from);
     let mut points = Vec::new();
     for (label, point) in (1u8..).zip(&model.points) {
         let scatter = Vector3::from_fn(|_, _| 0.05 * unknown * normal(rng));
         let noise = Vector2::from_fn(|_, _| kind.noise_px * normal(rng));
-        let Some(point) = point.filter(|_| label != hidden) else { continue };
+        let Some(point) = point.filter(|_| label != hidden && kind.seen.shows(label)) else {
+            continue;
+        };
         let shape = point.component_mul(&axes).component_mul(&fleet) + scatter;
         // The model's origin is at its back; put its middle where the vehicle stands.
         let p = turn * (shape + Vector3::new(-0.9, 2.25, 0.0)) + Vector3::new(at.x, at.y, 0.0);

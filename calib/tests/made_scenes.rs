@@ -2,7 +2,7 @@
 //! `cargo run --release -p mvcalib --example made_scenes` prints whole.
 
 use mvcalib::joint::{self, Settings};
-use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE, make};
+use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE, Seen, make};
 use mvcalib::methods::{Method, Options, calibrate};
 use mvcalib::problem::Problem;
 use mvcalib::vehicle::{VehicleModel, parse_models};
@@ -31,11 +31,10 @@ fn without_noise_the_truth_is_found() {
 
 #[test]
 fn joint_states_its_error_honestly() {
-    for (base, fleet) in
-        [(HK_LIKE, Fleet::Known), (HK_LIKE, Fleet::Unknown), (SAC_LIKE, Fleet::Unknown)]
-    {
-        let kind = Kind { fleet, ..base };
-        let count = 60;
+    for base in [HK_LIKE, SAC_LIKE] {
+        let kind = Kind { fleet: Fleet::Unknown, ..base };
+        let count = 40;
+        let mut stated = Vec::new();
         let held = (500..500 + count)
             .filter(|&seed| {
                 let scene = make(&kind, &models(), seed);
@@ -46,12 +45,15 @@ fn joint_states_its_error_honestly() {
                 let mean = lengths.sum::<f64>() / stretches.len() as f64;
                 let state = &found.estimate.camera;
                 let sd = found.covariance.relative_sd(state, kind.image_size, &stretches);
+                stated.push(sd.unwrap());
                 (mean / kind.segment_m).ln().abs() < 1.645 * sd.unwrap()
             })
             .count();
-        // 90 +- 4 % (one standard error of 60 scenes), more where the fleet is
-        // kinder than assumed: 80 to 98 %. The whole table has the sharper test.
-        assert!((48..=59).contains(&held), "{kind:?}: {held} of {count}");
+        // 36 expected, 2 is one standard error; the example has the sharper test. Wide
+        // intervals would hold too, so their width is bounded.
+        assert!(held >= 32, "{kind:?}: {held} of {count}");
+        let width = median(stated);
+        assert!(width < 0.07, "{kind:?}: half of the intervals are wider than {width}");
     }
 }
 
@@ -75,6 +77,20 @@ fn joint_beats_the_papers_method() {
         println!("{fleet:?}: joint {ours:.2} %, mvcalib {paper:.2} %");
         assert!(ours < paper, "{fleet:?}: joint {ours:.2} %, mvcalib {paper:.2} %");
     }
+}
+
+#[test]
+fn vehicles_seen_from_behind_calibrate_too() {
+    let models = parse_models(include_str!("../data/vehicles_rear.json")).unwrap();
+    let kind = Kind { seen: Seen::Rear, ..SAC_LIKE };
+    let errors = (0..15).map(|seed| {
+        let scene = make(&kind, &models, seed);
+        assert!(scene.problem.vehicles.iter().all(|v| v.points.iter().all(|p| p.label >= 5)));
+        let found = joint::calibrate(&scene.problem, &Settings::default()).unwrap();
+        scene.marks.verify(&found.camera()).unwrap().mape_pct
+    });
+    let median = median(errors.collect());
+    assert!(median < 3.0, "{median:.2} %");
 }
 
 #[test]

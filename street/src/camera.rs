@@ -96,10 +96,7 @@ impl Camera {
         }
         let (x, y) = (p.x / p.z, p.y / p.z);
         let scale = self.focal_px * (1.0 + self.k1 * (x * x + y * y));
-        Some([
-            f64::from(self.width) / 2.0 + scale * x,
-            f64::from(self.height) / 2.0 + scale * y,
-        ])
+        Some([f64::from(self.width) / 2.0 + scale * x, f64::from(self.height) / 2.0 + scale * y])
     }
 
     /// The direction in camera axes (z = 1) that an image point shows, distortion undone.

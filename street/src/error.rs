@@ -94,9 +94,9 @@ impl Error {
     pub fn exit_code(&self) -> u8 {
         match self {
             Error::SceneRead { .. } => 66,
-            Error::SceneSyntax { .. }
-            | Error::SceneValue { .. }
-            | Error::LaneNotVisible { .. } => 65,
+            Error::SceneSyntax { .. } | Error::SceneValue { .. } | Error::LaneNotVisible { .. } => {
+                65
+            }
             Error::OutputNotEmpty { .. } | Error::OutputCreate { .. } => 73,
             Error::OutputWrite { .. } | Error::Jpeg { .. } => 74,
         }

@@ -5,7 +5,6 @@
 
 use std::collections::BTreeMap;
 
-
 use crate::camera::Camera;
 use crate::simulation::{Placed, Simulation, Snapshot};
 use crate::solid::barrier_blocks;
@@ -47,7 +46,11 @@ impl OutlineMap {
         for block in barrier_blocks(street) {
             let image: Option<Vec<_>> = block.corners().iter().map(|p| camera.project(p)).collect();
             if let Some(image) = image {
-                items.push((distance(block.middle[0], block.middle[1]), BARRIER, vec![hull(image)]));
+                items.push((
+                    distance(block.middle[0], block.middle[1]),
+                    BARRIER,
+                    vec![hull(image)],
+                ));
             }
         }
         items.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -184,4 +187,3 @@ fn fill(polygon: &[[f64; 2]], width: usize, height: usize, mut paint: impl FnMut
         }
     }
 }
-

@@ -72,7 +72,8 @@ pub fn hash(value: u64) -> u64 {
 
 /// Hash noise of a lattice cell, uniform in [0, 1).
 pub fn cell(x: i64, y: i64, salt: u64) -> f32 {
-    let mixed = (x as u64).wrapping_mul(0x8da6_b343) ^ (y as u64).wrapping_mul(0xd816_3841_0000_0001);
+    let mixed =
+        (x as u64).wrapping_mul(0x8da6_b343) ^ (y as u64).wrapping_mul(0xd816_3841_0000_0001);
     (hash(mixed ^ salt) >> 40) as f32 / (1u32 << 24) as f32
 }
 

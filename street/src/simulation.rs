@@ -11,8 +11,8 @@ use crate::random::Stream;
 use crate::road::{Direction, LaneLine, Road};
 use crate::scene::Scene;
 use crate::traffic::{Fleet, LaneTraffic, Vehicle};
-use crate::vehicle::{MODELS, Model};
 use crate::vehicle::paint::Livery;
+use crate::vehicle::{MODELS, Model};
 
 /// Car following is integrated in steps of at most this, s.
 const LONGEST_STEP_S: f64 = 0.1;

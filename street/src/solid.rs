@@ -39,10 +39,11 @@ pub fn barrier_blocks(street: &Simulation) -> Vec<Block> {
         let pieces = (road.length_m() / PIECE_M) as usize;
         for i in 0..pieces {
             let (near, far) = (road.at(i as f64 * PIECE_M), road.at((i + 1) as f64 * PIECE_M));
-            let (left, right) =
-                (barrier.offset_m - barrier.width_m / 2.0, barrier.offset_m + barrier.width_m / 2.0);
-            let foot =
-                [near.beside(left), near.beside(right), far.beside(right), far.beside(left)];
+            let (left, right) = (
+                barrier.offset_m - barrier.width_m / 2.0,
+                barrier.offset_m + barrier.width_m / 2.0,
+            );
+            let foot = [near.beside(left), near.beside(right), far.beside(right), far.beside(left)];
             let middle = road.at((i as f64 + 0.5) * PIECE_M).beside(barrier.offset_m);
             blocks.push(Block { foot, middle, height_m: barrier.height_m, hedge: barrier.hedge });
         }

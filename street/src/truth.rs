@@ -98,7 +98,8 @@ pub fn lanes(measured: &[MeasuredLane], snapshot: &Snapshot) -> Vec<LaneTruth> {
             .filter(|v| v.lane + 1 == lane.number && lane.contains(v.lane_s_m));
         let speeds: Vec<f64> = inside.map(|v| v.speed_m_s * 3.6).collect();
         let density_veh_km = speeds.len() as f64 / (lane.length_m() / 1000.0);
-        let mean = speeds.iter().sum::<f64>() / speeds.len().max(1) as f64;
+        // `+ 0.0` turns the empty sum's -0 into 0.
+        let mean = (speeds.iter().sum::<f64>() + 0.0) / speeds.len().max(1) as f64;
         LaneTruth {
             lane: lane.number,
             vehicles: speeds.len(),

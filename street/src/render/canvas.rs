@@ -139,7 +139,14 @@ impl Canvas {
     pub fn copy_middle(&mut self, from: &Canvas) {
         let shift = -((from.margin - self.margin) * self.scale) as i32;
         let paint = PixmapPaint { blend_mode: BlendMode::Source, ..PixmapPaint::default() };
-        self.pixmap.draw_pixmap(shift, shift, from.pixmap.as_ref(), &paint, Transform::identity(), None);
+        self.pixmap.draw_pixmap(
+            shift,
+            shift,
+            from.pixmap.as_ref(),
+            &paint,
+            Transform::identity(),
+            None,
+        );
     }
 
     /// The RGBA sample at an image point, bilinear; clamped to the canvas.

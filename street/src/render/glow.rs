@@ -11,6 +11,9 @@ use crate::camera::Camera;
 use crate::simulation::{Placed, Simulation, Snapshot};
 use crate::vehicle::mesh::{Face, Material, mesh_of};
 
+/// A beam fades over so many nested ovals.
+const BEAM_LAYERS: i32 = 10;
+
 /// Beams of headlights on the road; painted before the vehicles.
 pub fn beams(canvas: &mut Canvas, snapshot: &Snapshot, light: &Lighting, camera: &Camera) {
     if light.glare < 0.4 {
@@ -20,10 +23,10 @@ pub fn beams(canvas: &mut Canvas, snapshot: &Snapshot, light: &Lighting, camera:
         let model = vehicle.model();
         let [middle, _] = model.centre_m();
         let front = model.ends_m[0];
-        for step in 0..6 {
-            let t = f64::from(step) / 5.0;
-            let (near, far) = (0.6 + 2.5 * t, 20.0 - 11.0 * t);
-            let half = 1.9 - 0.9 * t;
+        for step in 0..BEAM_LAYERS {
+            let t = f64::from(step) / f64::from(BEAM_LAYERS - 1);
+            let (near, far) = (0.4 + 3.5 * t, 22.0 - 15.0 * t);
+            let half = 2.1 - 1.6 * t;
             let points: Option<Vec<_>> = (0..16)
                 .map(|i| {
                     let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 16.0).sin_cos();
@@ -33,7 +36,7 @@ pub fn beams(canvas: &mut Canvas, snapshot: &Snapshot, light: &Lighting, camera:
                 })
                 .collect();
             if let Some(points) = points {
-                canvas.shine(&points, [255, 246, 220], 0.05 * light.glare);
+                canvas.shine(&points, [255, 246, 220], 0.020 * light.glare);
             }
         }
     }
@@ -84,7 +87,8 @@ fn lamp_glare(
         if let Some(mirror) = camera.project(&below) {
             for step in 0..5 {
                 let t = 0.3 + 0.35 * f64::from(step);
-                let at = [image[0] + t * (mirror[0] - image[0]), image[1] + t * (mirror[1] - image[1])];
+                let at =
+                    [image[0] + t * (mirror[0] - image[0]), image[1] + t * (mirror[1] - image[1])];
                 canvas.glow(at, (0.5 * reach * size).max(1.0), colour, 0.35 * opacity * light.wet);
             }
         }
@@ -104,7 +108,8 @@ pub fn signals(
         let Some(signal) = lane.signal else { continue };
         let s = street.lane_lines()[index].reference_s(signal.at_m);
         let right = lane.offset_m > (scene.road.left_edge_m + scene.road.right_edge_m) / 2.0;
-        let aside = if right { scene.road.right_edge_m + 0.6 } else { scene.road.left_edge_m - 0.6 };
+        let aside =
+            if right { scene.road.right_edge_m + 0.6 } else { scene.road.left_edge_m - 0.6 };
         let [x, y] = street.road().at(s).beside(aside);
         let across = Vector3::new(camera.rotation[(0, 0)], camera.rotation[(0, 1)], 0.0);
         let distance = (Point3::new(x, y, 3.0) - camera.position()).norm();
@@ -114,12 +119,14 @@ pub fn signals(
                 .map(|(d, z)| camera.project(&Point3::new(x + d * across.x, y + d * across.y, z)))
                 .collect()
         };
-        let grey = light.levels(light.irradiance(&Vector3::new(0.0, -1.0, 0.0), 1.0, 0.5).map(|e| 0.2 * e));
+        let grey = light
+            .levels(light.irradiance(&Vector3::new(0.0, -1.0, 0.0), 1.0, 0.5).map(|e| 0.2 * e));
         if let (Some(post), Some(head)) = (slab(0.06, 0.0, 3.0), slab(0.2, 2.6, 3.6)) {
             canvas.polygon(&post, grey, 1.0);
             canvas.polygon(&head, [18, 18, 18], 1.0);
         }
-        let (z, colour) = if snapshot.red[index] { (3.4, [255, 40, 20]) } else { (2.8, [40, 255, 140]) };
+        let (z, colour) =
+            if snapshot.red[index] { (3.4, [255, 40, 20]) } else { (2.8, [40, 255, 140]) };
         if let Some(lamp) = camera.project(&Point3::new(x, y, z)) {
             let size = camera.focal_px / distance;
             canvas.disc(lamp, (0.13 * size).max(0.5), colour);

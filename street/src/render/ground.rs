@@ -77,13 +77,7 @@ impl GroundPainter<'_> {
         (0.18 + rows.iter().map(from).sum::<f64>().min(1.2)) as f32
     }
 
-    fn surface(
-        &self,
-        point: [f64; 2],
-        distance: f64,
-        ray: &Vector3<f64>,
-        hint: &mut usize,
-    ) -> Rgb {
+    fn surface(&self, point: [f64; 2], distance: f64, ray: &Vector3<f64>, hint: &mut usize) -> Rgb {
         let (s, d) = self.road.locate(point, hint);
         let spec = &self.scene.road;
         let on_road = (spec.left_edge_m..=spec.right_edge_m).contains(&d);
@@ -103,9 +97,11 @@ impl GroundPainter<'_> {
 
     fn asphalt(&self, s: f64, d: f64, point: [f64; 2]) -> Rgb {
         let base = self.scene.road.asphalt as f32;
-        let noise = |size: f64, salt: u64| smooth(point[0] / size, point[1] / size, self.salt ^ salt);
+        let noise =
+            |size: f64, salt: u64| smooth(point[0] / size, point[1] / size, self.salt ^ salt);
         let grain = 0.10 * (noise(0.12, 1) - 0.5) + 0.10 * (noise(0.9, 2) - 0.5);
-        let stain = 0.22 * (noise(7.0, 3) - 0.5) + 0.10 * (smooth(s / 30.0, d / 1.2, self.salt ^ 4) - 0.5);
+        let stain =
+            0.22 * (noise(7.0, 3) - 0.5) + 0.10 * (smooth(s / 30.0, d / 1.2, self.salt ^ 4) - 0.5);
         let mut tone = 1.0 + grain + stain;
         // Wheel tracks are polished, the middle of a lane is dark with oil.
         for (lane, line) in self.scene.lanes.iter().zip(self.lines) {
@@ -142,7 +138,8 @@ impl GroundPainter<'_> {
             if (d - marking.offset_m).abs() > marking.width_m / 2.0 {
                 continue;
             }
-            let painted = marking.dash_m.is_none_or(|dash| s.rem_euclid(dash + marking.gap_m) < dash);
+            let painted =
+                marking.dash_m.is_none_or(|dash| s.rem_euclid(dash + marking.gap_m) < dash);
             if painted {
                 let colour = if marking.yellow { [0.62, 0.43, 0.06] } else { [0.7, 0.7, 0.68] };
                 return Some((colour, 0.92));
@@ -162,9 +159,12 @@ impl GroundPainter<'_> {
 
     fn roadside(&self, s: f64, d: f64, point: [f64; 2], distance: f64) -> Rgb {
         let strip = self.scene.roadside.strips.iter().rev();
-        let ground =
-            strip.into_iter().find(|x| (x.from_m..x.to_m).contains(&d)).map_or(Ground::Grass, |x| x.ground);
-        let noise = |size: f64, salt: u64| smooth(point[0] / size, point[1] / size, self.salt ^ salt);
+        let ground = strip
+            .into_iter()
+            .find(|x| (x.from_m..x.to_m).contains(&d))
+            .map_or(Ground::Grass, |x| x.ground);
+        let noise =
+            |size: f64, salt: u64| smooth(point[0] / size, point[1] / size, self.salt ^ salt);
         let edge = [self.scene.road.left_edge_m, self.scene.road.right_edge_m];
         // A kerb stone on both edges of the carriageway.
         if (d - edge[0]).abs() < 0.18 || (d - edge[1]).abs() < 0.18 {
@@ -173,7 +173,7 @@ impl GroundPainter<'_> {
         match ground {
             Ground::Grass => {
                 let tone = 0.65 + 0.5 * noise(0.5, 11) + 0.4 * noise(5.0, 12) * noise(0.2, 15);
-                mix(scale([0.055, 0.095, 0.028], tone), [0.10, 0.095, 0.05], 0.5 * noise(9.0, 13))
+                mix(scale([0.062, 0.115, 0.024], tone), [0.14, 0.13, 0.06], 0.5 * noise(9.0, 13))
             }
             Ground::Pavement => {
                 let slab = cell((s / 0.9).floor() as i64, (d / 0.6).floor() as i64, self.salt ^ 14);
@@ -181,7 +181,9 @@ impl GroundPainter<'_> {
                 let tone = 0.9 + 0.16 * slab + 0.2 * (noise(3.0, 16) - 0.5);
                 scale([0.30, 0.285, 0.26], if seam { 0.7 * tone } else { tone })
             }
-            Ground::Concrete => scale([0.33, 0.325, 0.31], 0.85 + 0.3 * noise(2.5, 17) * noise(0.3, 18)),
+            Ground::Concrete => {
+                scale([0.33, 0.325, 0.31], 0.85 + 0.3 * noise(2.5, 17) * noise(0.3, 18))
+            }
             Ground::Planting => {
                 let leaf = noise(0.35, 19) * 0.6 + noise(1.3, 20) * 0.7;
                 scale([0.06, 0.105, 0.035], 0.25 + 1.3 * leaf * leaf)
@@ -193,7 +195,8 @@ impl GroundPainter<'_> {
     fn sky(&self, ray: &Vector3<f64>) -> Rgb {
         let (azimuth, elevation) = (ray.x.atan2(ray.y).to_degrees(), ray.z.asin().to_degrees());
         let night = self.scene.light.daylight == Daylight::Night;
-        let hill = 1.2 + 1.6 * f64::from(smooth(azimuth / 9.0, 0.5, self.salt ^ 31))
+        let hill = 1.2
+            + 1.6 * f64::from(smooth(azimuth / 9.0, 0.5, self.salt ^ 31))
             + 0.4 * f64::from(smooth(azimuth / 1.1, 0.5, self.salt ^ 32));
         let block = (azimuth / 2.3).floor() as i64;
         let tower = f64::from(cell(block, 1, self.salt ^ 33)) * 7.0 - 1.0;

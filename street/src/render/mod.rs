@@ -114,8 +114,7 @@ impl Renderer {
             rain::paint(canvas, (width, height), scene.light.rain, self.seed, instant);
         }
         let salt = hash(self.texture ^ instant);
-        let picture =
-            sensor::expose(canvas, width as usize, height as usize, &scene.imaging, salt);
+        let picture = sensor::expose(canvas, width as usize, height as usize, &scene.imaging, salt);
         if scene.faults.frozen_from_s.is_some() {
             self.last_live = Some(picture.clone());
         }

@@ -17,8 +17,12 @@ pub fn paint(canvas: &mut Canvas, size: (u32, u32), rain: f64, seed: u64, frame:
         let length = rng.range(0.02, 0.07) * height;
         let lean = 0.12 * length;
         let half = rng.range(0.15, 0.4);
-        let streak =
-            [[x - half, y], [x + half, y], [x + half + lean, y + length], [x - half + lean, y + length]];
+        let streak = [
+            [x - half, y],
+            [x + half, y],
+            [x + half + lean, y + length],
+            [x - half + lean, y + length],
+        ];
         canvas.polygon(&streak, [205, 210, 215], rng.range(0.08, 0.22) as f32);
     }
 }

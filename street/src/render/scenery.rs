@@ -20,7 +20,14 @@ enum Thing {
 }
 
 /// Paints all standing scenery of a scene.
-pub fn paint(canvas: &mut Canvas, scene: &Scene, road: &Road, light: &Lighting, camera: &Camera, seed: u64) {
+pub fn paint(
+    canvas: &mut Canvas,
+    scene: &Scene,
+    road: &Road,
+    light: &Lighting,
+    camera: &Camera,
+    seed: u64,
+) {
     let mut rng = Stream::new(seed, "scenery");
     let mut things = Vec::new();
     let night = scene.light.daylight == Daylight::Night;
@@ -52,7 +59,8 @@ pub fn paint(canvas: &mut Canvas, scene: &Scene, road: &Road, light: &Lighting, 
         let place = road.at(bridge.at_m);
         let span = bridge.half_span_m;
         let (near, deck) = (bridge.clearance_m, bridge.clearance_m + bridge.depth_m);
-        for (from, to, tone) in [(near, near + 0.5 * bridge.depth_m, 0.26), (near + 0.5 * bridge.depth_m, deck, 0.42)]
+        for (from, to, tone) in
+            [(near, near + 0.5 * bridge.depth_m, 0.26), (near + 0.5 * bridge.depth_m, deck, 0.42)]
         {
             let ([ax, ay], [bx, by]) = (place.beside(-span), place.beside(span));
             let corners = vec![
@@ -159,11 +167,16 @@ fn building(
 
 fn tree(things: &mut Vec<Thing>, foot: [f64; 2], height: f64, light: &Lighting, rng: &mut Stream) {
     let at = |x: f64, y: f64, z: f64| Point3::new(foot[0] + x, foot[1] + y, z);
-    let trunk = vec![at(-0.15, 0.0, 0.0), at(0.15, 0.0, 0.0), at(0.1, 0.0, 0.5 * height), at(-0.1, 0.0, 0.5 * height)];
+    let trunk = vec![
+        at(-0.15, 0.0, 0.0),
+        at(0.15, 0.0, 0.0),
+        at(0.1, 0.0, 0.5 * height),
+        at(-0.1, 0.0, 0.5 * height),
+    ];
     things.push(Thing::Polygon(trunk, [0.07, 0.05, 0.035], Vector3::new(0.0, -1.0, 0.0)));
     let crown = 0.40 * height;
     let hue = [0.06 * rng.range(0.8, 1.3), 0.10 * rng.range(0.85, 1.15), 0.035];
-    let count = (40.0 * crown) as usize;
+    let count = (130.0 * crown) as usize;
     for _ in 0..count {
         // A point in an upright ellipsoid, denser near its skin.
         let (azimuth, lift) = (rng.range(0.0, std::f64::consts::TAU), rng.range(-0.9, 1.0));
@@ -176,7 +189,7 @@ fn tree(things: &mut Vec<Thing>, foot: [f64; 2], height: f64, light: &Lighting, 
         // Leaves shade each other: darker inside, speckled outside.
         let speckle = rng.range(0.35, 1.25) * (0.35 + 0.65 * reach * reach);
         let radiance: Rgb = std::array::from_fn(|k| (hue[k] * speckle) as f32 * falling[k]);
-        things.push(Thing::Ball(centre, crown * rng.range(0.08, 0.2), scale(radiance, 1.1)));
+        things.push(Thing::Ball(centre, crown * rng.range(0.05, 0.13), scale(radiance, 1.1)));
     }
 }
 
@@ -189,7 +202,20 @@ fn lamp(things: &mut Vec<Thing>, road: &Road, s: f64, offset: f64, height: f64) 
         let [x, y] = place.beside(offset + inward * d);
         Point3::new(x, y, z)
     };
-    things.push(Thing::Polygon(vec![at(-0.09, 0.0), at(0.09, 0.0), at(0.06, height), at(-0.06, height)], grey, facing));
-    things.push(Thing::Polygon(vec![at(0.0, height - 0.1), at(1.7, height + 0.25), at(1.7, height + 0.4), at(0.0, height + 0.05)], grey, facing));
+    things.push(Thing::Polygon(
+        vec![at(-0.09, 0.0), at(0.09, 0.0), at(0.06, height), at(-0.06, height)],
+        grey,
+        facing,
+    ));
+    things.push(Thing::Polygon(
+        vec![
+            at(0.0, height - 0.1),
+            at(1.7, height + 0.25),
+            at(1.7, height + 0.4),
+            at(0.0, height + 0.05),
+        ],
+        grey,
+        facing,
+    ));
     things.push(Thing::Light(at(1.6, height + 0.1)));
 }

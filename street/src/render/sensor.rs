@@ -138,7 +138,8 @@ fn develop(planes: &Planes, noise: f32, salt: u64) -> Image {
             let i = y * width + x;
             let bits = hash(salt ^ i as u64);
             // Sum of four 16-bit uniforms: close to normal, deviation 1 after scaling.
-            let sum = (bits & 0xffff) + (bits >> 16 & 0xffff) + (bits >> 32 & 0xffff) + (bits >> 48);
+            let sum =
+                (bits & 0xffff) + (bits >> 16 & 0xffff) + (bits >> 32 & 0xffff) + (bits >> 48);
             let normal = (sum as f32 / 65_535.0 - 2.0) * 1.732;
             let tint = ((bits >> 7 & 0xff) as f32 - 127.5) / 127.5;
             let dx = x as f32 + 0.5 - width as f32 / 2.0;

@@ -134,7 +134,8 @@ fn body(canvas: &mut Canvas, vehicle: &Placed, distance: f64, light: &Lighting, 
         if image.len() < face.corners.len() {
             continue;
         }
-        let radiance = light.face(&vehicle.livery, face.material, &normal, &to_eye, vehicle.braking);
+        let radiance =
+            light.face(&vehicle.livery, face.material, &normal, &to_eye, vehicle.braking);
         canvas.polygon(&image, light.levels(light.through_haze(radiance, far)), 1.0);
     }
 }

@@ -39,7 +39,8 @@ impl Scene {
     pub fn check(&self, origin: &str) -> Result<()> {
         let c = Checker { origin };
         let plain = |name: &str| {
-            !name.is_empty() && name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b))
+            !name.is_empty()
+                && name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b))
         };
         if !plain(&self.name) {
             return Err(c.refuse("name", &self.name, "letters, digits, '-', '_' and '.'"));

@@ -32,8 +32,8 @@ impl IdmParameters {
     pub fn acceleration(&self, speed: f64, leader: Option<(f64, f64)>) -> f64 {
         let free = 1.0 - (speed / self.desired_speed_m_s).powi(EXPONENT);
         let interaction = leader.map_or(0.0, |(gap, closing)| {
-            let braking = speed * closing
-                / (2.0 * (self.acceleration_m_s2 * self.deceleration_m_s2).sqrt());
+            let braking =
+                speed * closing / (2.0 * (self.acceleration_m_s2 * self.deceleration_m_s2).sqrt());
             let wanted = self.jam_gap_m + (speed * self.headway_s + braking).max(0.0);
             (wanted / gap.max(0.01)).powi(2)
         });

@@ -91,7 +91,10 @@ impl LaneTraffic {
         self.arrive(now_s, next_id);
         self.accelerate(now_s);
         self.advance(dt_s);
-        while self.vehicles.front().is_some_and(|v| v.front_m - v.model().length_m() > self.length_m)
+        while self
+            .vehicles
+            .front()
+            .is_some_and(|v| v.front_m - v.model().length_m() > self.length_m)
         {
             self.vehicles.pop_front();
             self.departed += 1;
@@ -116,7 +119,8 @@ impl LaneTraffic {
             Some(last) => {
                 let gap = last.front_m - last.model().length_m();
                 vehicle.speed_m_s = speed.min(last.speed_m_s);
-                let needed = vehicle.driver.idm.equilibrium_gap_m(vehicle.speed_m_s.min(0.9 * speed));
+                let needed =
+                    vehicle.driver.idm.equilibrium_gap_m(vehicle.speed_m_s.min(0.9 * speed));
                 if gap < ENTRY_GAP * needed {
                     self.waiting.push_front(vehicle);
                     return;

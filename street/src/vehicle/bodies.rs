@@ -77,7 +77,12 @@ fn car(b: &mut Builder, model: &Model) {
         let span = [inner.min(outer).max(x0 + 0.04), inner.max(outer).min(x1 - 0.04)];
         b.on_front(span, [light[2] - 0.08, light[2] + 0.07], light[1] - 0.2, Headlight);
     }
-    b.on_front([middle - 0.26, middle + 0.26], [model.key_points[2][2] - 0.06, model.key_points[2][2] + 0.06], nose, Plate);
+    b.on_front(
+        [middle - 0.26, middle + 0.26],
+        [model.key_points[2][2] - 0.06, model.key_points[2][2] + 0.06],
+        nose,
+        Plate,
+    );
     // Rear: lights, plate, bumper.
     let tail = rear + 0.004;
     b.on_rear([x0 + 0.08, x0 + 0.45], [0.66, 0.86], tail, Taillight);

@@ -121,7 +121,8 @@ impl Builder {
     pub fn wheels(&mut self, half: f64, y: f64, radius: f64) {
         for side in [-1.0, 1.0] {
             let x = self.centre_x + side * (half + 0.005);
-            for (scale, material) in [(1.12, Material::Shade), (1.0, Material::Tyre), (0.62, Material::Rim)]
+            for (scale, material) in
+                [(1.12, Material::Shade), (1.0, Material::Tyre), (0.62, Material::Rim)]
             {
                 let lift = if material == Material::Shade { 0.04 } else { 0.0 };
                 let mut corners: Vec<[f64; 3]> = (0..12)
@@ -138,17 +139,32 @@ impl Builder {
             }
             let hub = self.centre_x + side * (half - 0.2);
             let ring = |x: f64| {
-                [[x, y - radius, radius * 0.3], [x, y, 0.0], [x, y + radius, radius * 0.3], [x, y, radius]]
+                [
+                    [x, y - radius, radius * 0.3],
+                    [x, y, 0.0],
+                    [x, y + radius, radius * 0.3],
+                    [x, y, radius],
+                ]
             };
             self.mesh.parts.push(ring(x).into_iter().chain(ring(hub)).collect());
             // The tread, seen under the body from front and rear.
             let (x0, x1) = (x.min(hub), x.max(hub));
             self.mesh.faces.push(Face::new(
-                vec![[x0, y - radius * 0.8, 0.0], [x1, y - radius * 0.8, 0.0], [x1, y - radius, radius], [x0, y - radius, radius]],
+                vec![
+                    [x0, y - radius * 0.8, 0.0],
+                    [x1, y - radius * 0.8, 0.0],
+                    [x1, y - radius, radius],
+                    [x0, y - radius, radius],
+                ],
                 Material::Tyre,
             ));
             self.mesh.faces.push(Face::new(
-                vec![[x1, y + radius * 0.8, 0.0], [x0, y + radius * 0.8, 0.0], [x0, y + radius, radius], [x1, y + radius, radius]],
+                vec![
+                    [x1, y + radius * 0.8, 0.0],
+                    [x0, y + radius * 0.8, 0.0],
+                    [x0, y + radius, radius],
+                    [x1, y + radius, radius],
+                ],
                 Material::Tyre,
             ));
         }

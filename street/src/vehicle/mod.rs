@@ -6,9 +6,9 @@
 //! the vehicle, Y from the front towards the rear (the front is negative, the rear near 0), Z up
 //! from the road. "Left" and "right" key points are the viewer's.
 
+mod bodies;
 mod loft;
 pub mod mesh;
-mod bodies;
 pub mod paint;
 
 use serde::Serialize;
@@ -247,8 +247,16 @@ mod tests {
     fn key_points_lie_in_the_stated_box() {
         for model in &MODELS {
             for [x, y, z] in model.key_points {
-                assert!(x >= model.sides_m[0] - 0.21 && x <= model.sides_m[1] + 0.21, "{}", model.name);
-                assert!(y >= model.ends_m[0] - 1e-9 && y <= model.ends_m[1] + 1e-9, "{}", model.name);
+                assert!(
+                    x >= model.sides_m[0] - 0.21 && x <= model.sides_m[1] + 0.21,
+                    "{}",
+                    model.name
+                );
+                assert!(
+                    y >= model.ends_m[0] - 1e-9 && y <= model.ends_m[1] + 1e-9,
+                    "{}",
+                    model.name
+                );
                 assert!(z > 0.0 && z < model.height_m, "{}", model.name);
             }
         }

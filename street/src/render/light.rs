@@ -99,15 +99,13 @@ impl Lighting {
     pub fn irradiance(&self, normal: &Vector3<f64>, shade: f32, lamp: f32) -> Rgb {
         let up = (0.5 + 0.5 * normal.z) as f32;
         let sun = shade * normal.dot(&self.to_sun).max(0.0) as f32;
-        let mut light = [0.0; 3];
-        for k in 0..3 {
+        std::array::from_fn(|k| {
             // The road throws back about a fifth of what falls on it.
             let bounce = 0.2 * (self.sun[k] * self.to_sun.z as f32 + self.sky[k]) * (1.0 - up);
             // Lamps stand above and beside: half of their light is direction-free.
             let lamp = self.lamp[k] * lamp * (0.35 + 0.65 * up);
-            light[k] = self.sun[k] * sun + self.sky[k] * up + bounce + lamp;
-        }
-        light
+            self.sun[k] * sun + self.sky[k] * up + bounce + lamp
+        })
     }
 
     /// Radiance of the surroundings in a direction, for reflections.

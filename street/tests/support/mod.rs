@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use street::scene::Scene;
 
 /// The scene for fast tests.
+#[allow(dead_code)] // not every test binary parses it
 pub fn tiny(changes: &[&str]) -> Scene {
     let changes: Vec<String> = changes.iter().map(|change| (*change).to_owned()).collect();
     Scene::parse(include_str!("../../scenes/tiny.toml"), "tiny.toml", &changes)

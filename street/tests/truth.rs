@@ -172,3 +172,26 @@ for u, v in image.reshape(-1, 2):
     assert_eq!(text.lines().count(), ours.len());
     assert!(worst < 0.01, "{worst} px from OpenCV");
 }
+
+#[test]
+fn the_committed_recordings_are_what_the_program_makes() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    for name in ["curve", "freeway"] {
+        let folder = root.join("tests/data").join(name);
+        let about = std::fs::read_to_string(folder.join("recording.json")).expect("committed");
+        let about: serde_json::Value = serde_json::from_str(&about).expect("JSON");
+        let scene = root.join(format!("street/scenes/{name}.toml"));
+        let scene = Scene::read(&scene, &[]).expect("a shipped scene");
+        let seed = about["seed"].as_u64().expect("a seed");
+        let mut recorder = Recorder::new(&scene, seed).expect("a recorder");
+        let truth = std::fs::read_to_string(folder.join("truth.jsonl")).expect("committed");
+        assert_eq!(truth.lines().count() as u64, about["frames"].as_u64().expect("a count"));
+        for line in truth.lines().take(2) {
+            let made = serde_json::to_string(&recorder.next_truth()).expect("JSON");
+            assert!(
+                made == line,
+                "{name}: record it again, the program has changed\n{made}\n{line}"
+            );
+        }
+    }
+}

@@ -73,8 +73,9 @@ impl OutlineMap {
                 map.whole.insert(*id, whole);
             }
         }
-        for id in &map.owner {
-            *map.shown.entry(*id).or_insert(0) += 1;
+        // Runs of one owner are long, so that a look-up per run is cheap.
+        for run in map.owner.chunk_by(|a, b| a == b) {
+            *map.shown.entry(run[0]).or_insert(0) += run.len();
         }
         map
     }

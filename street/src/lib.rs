@@ -10,7 +10,7 @@
 //! # use street::{faults::View, render::Renderer, scene::Scene, simulation::Simulation, truth};
 //! # fn main() -> street::error::Result<()> {
 //! let text = include_str!("../scenes/tiny.toml");
-//! let scene = Scene::parse(text, "tiny.toml")?;
+//! let scene = Scene::parse(text, "tiny.toml", &[])?;
 //! let mut street = Simulation::new(&scene, 7)?;
 //! let mut renderer = Renderer::new(&street, 7);
 //! street.step(2.0);

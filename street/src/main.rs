@@ -32,6 +32,9 @@ enum Command {
         /// Seed of traffic and picture.
         #[arg(long, default_value_t = 1)]
         seed: u64,
+        /// Change a key of the scene, such as light.daylight=night; may be repeated.
+        #[arg(long, value_name = "KEY=VALUE")]
+        set: Vec<String>,
         /// New or empty folder.
         #[arg(long)]
         out: PathBuf,
@@ -47,6 +50,9 @@ enum Command {
         /// Seed of traffic and picture.
         #[arg(long, default_value_t = 1)]
         seed: u64,
+        /// Change a key of the scene, such as light.daylight=night; may be repeated.
+        #[arg(long, value_name = "KEY=VALUE")]
+        set: Vec<String>,
     },
 }
 
@@ -60,10 +66,10 @@ fn main() -> ExitCode {
         }
     };
     let done = match cli.command {
-        Command::Record { scene, frames, seed, out } => Scene::read(&scene)
+        Command::Record { scene, frames, seed, set, out } => Scene::read(&scene, &set)
             .and_then(|scene| recording::write(&scene, frames as usize, seed, &out)),
-        Command::Bench { scene, frames, seed } => {
-            Scene::read(&scene).and_then(|scene| bench(&scene, frames, seed))
+        Command::Bench { scene, frames, seed, set } => {
+            Scene::read(&scene, &set).and_then(|scene| bench(&scene, frames, seed))
         }
     };
     match done {

@@ -15,6 +15,9 @@ const NONE: u64 = 0;
 /// Pixel owner: a barrier.
 const BARRIER: u64 = u64::MAX;
 
+/// A convex polygon in the picture, px.
+type Polygon = Vec<[f64; 2]>;
+
 /// The owner of each pixel, and how many pixels each vehicle would own alone.
 pub struct OutlineMap {
     width: usize,
@@ -37,7 +40,7 @@ impl OutlineMap {
         };
         let eye = camera.position();
         let distance = |x: f64, y: f64| (x - eye.x).hypot(y - eye.y);
-        let mut items: Vec<(f64, u64, Vec<Vec<[f64; 2]>>)> = Vec::new();
+        let mut items: Vec<(f64, u64, Vec<Polygon>)> = Vec::new();
         for vehicle in &snapshot.vehicles {
             if let Some(hulls) = hulls(vehicle, camera) {
                 items.push((distance(vehicle.centre[0], vehicle.centre[1]), vehicle.id, hulls));
@@ -70,8 +73,9 @@ impl OutlineMap {
                 map.whole.insert(*id, whole);
             }
         }
-        for id in &map.owner {
-            *map.shown.entry(*id).or_insert(0) += 1;
+        // Runs of one owner are long, so that a look-up per run is cheap.
+        for run in map.owner.chunk_by(|a, b| a == b) {
+            *map.shown.entry(run[0]).or_insert(0) += run.len();
         }
         map
     }
@@ -110,7 +114,7 @@ pub fn hull_boxes(vehicle: &Placed, camera: &Camera) -> Option<[f64; 4]> {
     Some(bounds)
 }
 
-fn hulls(vehicle: &Placed, camera: &Camera) -> Option<Vec<Vec<[f64; 2]>>> {
+fn hulls(vehicle: &Placed, camera: &Camera) -> Option<Vec<Polygon>> {
     let [x0, y0, x1, y1] = hull_boxes(vehicle, camera)?;
     if x1 < 0.0 || y1 < 0.0 || x0 > f64::from(camera.width) || y0 > f64::from(camera.height) {
         return None;
@@ -126,7 +130,7 @@ fn hulls(vehicle: &Placed, camera: &Camera) -> Option<Vec<Vec<[f64; 2]>>> {
 }
 
 /// The convex hull of image points, counter-clockwise in y-up terms (Andrew's monotone chain).
-pub fn hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
+pub fn hull(mut points: Polygon) -> Polygon {
     points.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
     points.dedup();
     if points.len() < 3 {
@@ -135,10 +139,10 @@ pub fn hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
     let cross = |o: [f64; 2], a: [f64; 2], b: [f64; 2]| {
         (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0])
     };
-    let mut hull: Vec<[f64; 2]> = Vec::with_capacity(points.len() + 1);
+    let mut hull: Polygon = Vec::with_capacity(points.len() + 1);
     for pass in 0..2 {
         let floor = hull.len() + 1;
-        let step = |hull: &mut Vec<[f64; 2]>, p: [f64; 2]| {
+        let step = |hull: &mut Polygon, p: [f64; 2]| {
             while hull.len() > floor && cross(hull[hull.len() - 2], hull[hull.len() - 1], p) <= 0.0
             {
                 hull.pop();

@@ -36,8 +36,8 @@ pub struct Placed {
     pub livery: Livery,
     /// Centre of the footprint, world (X, Y) m.
     pub centre: [f64; 2],
-    /// Direction of travel, radians clockwise from +Y.
-    pub heading: f64,
+    /// Direction of travel: sine and cosine of its angle clockwise from +Y.
+    pub heading: [f64; 2],
 }
 
 impl Placed {
@@ -53,10 +53,18 @@ impl Placed {
         Point3::new(self.centre[0] + offset.x, self.centre[1] + offset.y, offset.z)
     }
 
+    /// The point of the model frame at a world point, m.
+    pub fn model_point(&self, world: &Point3<f64>) -> Point3<f64> {
+        let [sin, cos] = self.heading;
+        let middle = self.model().centre_m();
+        let (x, y) = (world.x - self.centre[0], world.y - self.centre[1]);
+        Point3::new(middle[0] - cos * x + sin * y, middle[1] - sin * x - cos * y, world.z)
+    }
+
     /// The world direction of a direction of the model frame.
     pub fn turn(&self, v: Vector3<f64>) -> Vector3<f64> {
         // Model +Y is against travel, +X = Y x Z.
-        let (sin, cos) = self.heading.sin_cos();
+        let [sin, cos] = self.heading;
         Vector3::new(-cos * v.x - sin * v.y, sin * v.x - cos * v.y, v.z)
     }
 }
@@ -183,7 +191,7 @@ impl Simulation {
             braking: vehicle.acceleration_m_s2 < -0.4 || vehicle.speed_m_s < 0.3,
             livery: vehicle.livery,
             centre: [place.x, place.y],
-            heading,
+            heading: [heading.sin(), heading.cos()],
         }
     }
 }

@@ -98,7 +98,8 @@ pub fn lanes(measured: &[MeasuredLane], snapshot: &Snapshot) -> Vec<LaneTruth> {
             .filter(|v| v.lane + 1 == lane.number && lane.contains(v.lane_s_m));
         let speeds: Vec<f64> = inside.map(|v| v.speed_m_s * 3.6).collect();
         let density_veh_km = speeds.len() as f64 / (lane.length_m() / 1000.0);
-        let mean = speeds.iter().sum::<f64>() / speeds.len().max(1) as f64;
+        // `+ 0.0` turns the empty sum's -0 into 0.
+        let mean = (speeds.iter().sum::<f64>() + 0.0) / speeds.len().max(1) as f64;
         LaneTruth {
             lane: lane.number,
             vehicles: speeds.len(),
@@ -174,9 +175,10 @@ fn visible_key_points(
     map: &OutlineMap,
 ) -> BTreeMap<u8, [f64; 2]> {
     let mut visible = BTreeMap::new();
+    let eye = vehicle.model_point(&camera.position());
     for (index, image) in key_points(vehicle, camera).into_iter().enumerate() {
         let Some(image) = image else { continue };
-        if map.shows(vehicle.id, image) && !hidden_by_own_body(vehicle, camera, index) {
+        if map.shows(vehicle.id, image) && !hidden_by_own_body(vehicle, &eye, index) {
             visible.insert(index as u8 + 1, image.map(round));
         }
     }
@@ -186,28 +188,25 @@ fn visible_key_points(
 /// Key points lie on or near the skin: the last so many metres before one are not tested.
 const SKIN_M: f64 = 0.25;
 
-fn hidden_by_own_body(vehicle: &Placed, camera: &Camera, index: usize) -> bool {
-    let target = vehicle.world(vehicle.model().key_points[index]);
-    let eye = camera.position();
-    let ray = target - eye;
+fn hidden_by_own_body(vehicle: &Placed, eye_in_model: &Point3<f64>, index: usize) -> bool {
+    let eye = eye_in_model;
+    let ray = Point3::from(vehicle.model().key_points[index]) - eye;
     let distance = ray.norm();
     let direction = ray / distance;
     mesh_of(vehicle.model_index).faces.iter().any(|face| {
-        let normal = vehicle.turn(face.normal);
-        let facing = normal.dot(&direction);
+        let facing = face.normal.dot(&direction);
         if facing >= -1e-6 {
             return false;
         }
-        let middle = vehicle.world(face.middle);
-        let reach = normal.dot(&(middle - eye)) / facing;
+        let reach = face.normal.dot(&(Point3::from(face.middle) - eye)) / facing;
         if reach <= 0.0 || reach >= distance - SKIN_M {
             return false;
         }
         let hit = eye + direction * reach;
-        let corners: Vec<_> = face.corners.iter().map(|corner| vehicle.world(*corner)).collect();
+        let corners = &face.corners;
         (0..corners.len()).all(|i| {
-            let (a, b) = (corners[i], corners[(i + 1) % corners.len()]);
-            (b - a).cross(&(hit - a)).dot(&normal) >= 0.0
+            let (a, b) = (Point3::from(corners[i]), Point3::from(corners[(i + 1) % corners.len()]));
+            (b - a).cross(&(hit - a)).dot(&face.normal) >= 0.0
         })
     })
 }

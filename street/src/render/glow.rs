@@ -11,6 +11,9 @@ use crate::camera::Camera;
 use crate::simulation::{Placed, Simulation, Snapshot};
 use crate::vehicle::mesh::{Face, Material, mesh_of};
 
+/// A beam fades over so many nested ovals.
+const BEAM_LAYERS: i32 = 10;
+
 /// Beams of headlights on the road; painted before the vehicles.
 pub fn beams(canvas: &mut Canvas, snapshot: &Snapshot, light: &Lighting, camera: &Camera) {
     if light.glare < 0.4 {
@@ -20,10 +23,10 @@ pub fn beams(canvas: &mut Canvas, snapshot: &Snapshot, light: &Lighting, camera:
         let model = vehicle.model();
         let [middle, _] = model.centre_m();
         let front = model.ends_m[0];
-        for step in 0..6 {
-            let t = f64::from(step) / 5.0;
-            let (near, far) = (0.6 + 2.5 * t, 20.0 - 11.0 * t);
-            let half = 1.9 - 0.9 * t;
+        for step in 0..BEAM_LAYERS {
+            let t = f64::from(step) / f64::from(BEAM_LAYERS - 1);
+            let (near, far) = (0.4 + 3.5 * t, 22.0 - 15.0 * t);
+            let half = 2.1 - 1.6 * t;
             let points: Option<Vec<_>> = (0..16)
                 .map(|i| {
                     let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 16.0).sin_cos();
@@ -33,7 +36,7 @@ pub fn beams(canvas: &mut Canvas, snapshot: &Snapshot, light: &Lighting, camera:
                 })
                 .collect();
             if let Some(points) = points {
-                canvas.shine(&points, [255, 246, 220], 0.05 * light.glare);
+                canvas.shine(&points, [255, 246, 220], 0.020 * light.glare);
             }
         }
     }

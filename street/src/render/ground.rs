@@ -173,7 +173,7 @@ impl GroundPainter<'_> {
         match ground {
             Ground::Grass => {
                 let tone = 0.65 + 0.5 * noise(0.5, 11) + 0.4 * noise(5.0, 12) * noise(0.2, 15);
-                mix(scale([0.055, 0.095, 0.028], tone), [0.10, 0.095, 0.05], 0.5 * noise(9.0, 13))
+                mix(scale([0.062, 0.115, 0.024], tone), [0.14, 0.13, 0.06], 0.5 * noise(9.0, 13))
             }
             Ground::Pavement => {
                 let slab = cell((s / 0.9).floor() as i64, (d / 0.6).floor() as i64, self.salt ^ 14);

@@ -58,16 +58,16 @@ impl Lighting {
                 lamp: [0.0; 3],
                 horizon: mix([0.80, 0.88, 0.98], [0.9, 0.92, 0.94], cloud),
                 zenith: mix([0.25, 0.42, 0.80], [0.75, 0.78, 0.82], cloud),
-                exposure: 0.44 + 0.34 * cloud,
+                exposure: 0.62 + 0.22 * cloud,
                 lights_on: rain > 0.2,
                 glare: 0.25 * rain,
                 wet: rain.min(1.0),
-                haze_m: 900.0,
+                haze_m: 2200.0,
             },
             Daylight::Dusk => Lighting {
                 to_sun,
                 sun: [0.0; 3],
-                sky: [0.080, 0.088, 0.120],
+                sky: [0.105, 0.110, 0.135],
                 lamp: [0.10, 0.07, 0.035],
                 horizon: [0.20, 0.15, 0.14],
                 zenith: [0.035, 0.05, 0.11],
@@ -75,23 +75,23 @@ impl Lighting {
                 lights_on: true,
                 glare: 0.5,
                 wet: rain,
-                haze_m: 700.0,
+                haze_m: 1500.0,
             },
             Daylight::Night => Lighting {
                 to_sun,
                 sun: [0.0; 3],
-                sky: [0.010, 0.011, 0.014],
-                lamp: [0.16, 0.115, 0.065],
+                sky: [0.016, 0.016, 0.019],
+                lamp: [0.34, 0.26, 0.16],
                 horizon: [0.012, 0.010, 0.010],
                 zenith: [0.003, 0.003, 0.005],
                 exposure: 3.4,
                 lights_on: true,
                 glare: 1.0,
                 wet: rain,
-                haze_m: 600.0,
+                haze_m: 1500.0,
             },
         };
-        lighting.haze_m /= 1.0 + 2.5 * rain;
+        lighting.haze_m /= 1.0 + 6.0 * rain;
         lighting
     }
 
@@ -99,15 +99,13 @@ impl Lighting {
     pub fn irradiance(&self, normal: &Vector3<f64>, shade: f32, lamp: f32) -> Rgb {
         let up = (0.5 + 0.5 * normal.z) as f32;
         let sun = shade * normal.dot(&self.to_sun).max(0.0) as f32;
-        let mut light = [0.0; 3];
-        for k in 0..3 {
+        std::array::from_fn(|k| {
             // The road throws back about a fifth of what falls on it.
             let bounce = 0.2 * (self.sun[k] * self.to_sun.z as f32 + self.sky[k]) * (1.0 - up);
             // Lamps stand above and beside: half of their light is direction-free.
             let lamp = self.lamp[k] * lamp * (0.35 + 0.65 * up);
-            light[k] = self.sun[k] * sun + self.sky[k] * up + bounce + lamp;
-        }
-        light
+            self.sun[k] * sun + self.sky[k] * up + bounce + lamp
+        })
     }
 
     /// Radiance of the surroundings in a direction, for reflections.
@@ -173,13 +171,16 @@ impl Lighting {
         mix(self.horizon, radiance, clear)
     }
 
-    /// The 8-bit levels of a radiance: exposure, a soft shoulder, gamma 2.2.
+    /// The 8-bit levels of a radiance: exposure, a soft shoulder, gamma 2.2, contrast.
     pub fn levels(&self, radiance: Rgb) -> [u8; 3] {
         radiance.map(|value| {
             let x = (value * self.exposure).max(0.0);
             // Linear to 0.7, then a shoulder towards 1.
             let x = if x > 0.7 { 0.7 + 0.3 * (1.0 - (-(x - 0.7) / 0.3).exp()) } else { x };
-            (255.0 * x.powf(1.0 / 2.2)).round() as u8
+            let y = x.powf(1.0 / 2.2);
+            // Cheap cameras add contrast: a third of the way to a smoothstep.
+            let y = y + 0.33 * (y * y * (3.0 - 2.0 * y) - y);
+            (255.0 * y).round() as u8
         })
     }
 }

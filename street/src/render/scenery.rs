@@ -176,7 +176,7 @@ fn tree(things: &mut Vec<Thing>, foot: [f64; 2], height: f64, light: &Lighting, 
     things.push(Thing::Polygon(trunk, [0.07, 0.05, 0.035], Vector3::new(0.0, -1.0, 0.0)));
     let crown = 0.40 * height;
     let hue = [0.06 * rng.range(0.8, 1.3), 0.10 * rng.range(0.85, 1.15), 0.035];
-    let count = (40.0 * crown) as usize;
+    let count = (130.0 * crown) as usize;
     for _ in 0..count {
         // A point in an upright ellipsoid, denser near its skin.
         let (azimuth, lift) = (rng.range(0.0, std::f64::consts::TAU), rng.range(-0.9, 1.0));
@@ -189,7 +189,7 @@ fn tree(things: &mut Vec<Thing>, foot: [f64; 2], height: f64, light: &Lighting, 
         // Leaves shade each other: darker inside, speckled outside.
         let speckle = rng.range(0.35, 1.25) * (0.35 + 0.65 * reach * reach);
         let radiance: Rgb = std::array::from_fn(|k| (hue[k] * speckle) as f32 * falling[k]);
-        things.push(Thing::Ball(centre, crown * rng.range(0.08, 0.2), scale(radiance, 1.1)));
+        things.push(Thing::Ball(centre, crown * rng.range(0.05, 0.13), scale(radiance, 1.1)));
     }
 }
 

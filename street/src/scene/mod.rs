@@ -465,25 +465,34 @@ fn default_zoom() -> f64 {
 }
 
 impl Scene {
-    /// Reads and checks a scene file.
+    /// Reads and checks a scene file, with some keys set to other values: each change is
+    /// `table.key=value`, the value as in TOML, quotes around plain words may be left out.
     ///
     /// # Errors
     /// [`Error::SceneRead`], [`Error::SceneSyntax`], [`Error::SceneValue`].
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: &Path, changes: &[String]) -> Result<Self> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| Error::SceneRead { path: path.to_path_buf(), source })?;
-        Self::parse(&text, &path.display().to_string())
+        Self::parse(&text, &path.display().to_string(), changes)
     }
 
-    /// Reads and checks a scene's text; `origin` names it in errors.
+    /// Reads and checks a scene's text, with changes as [`Scene::read`]; `origin` names it in
+    /// errors.
     ///
     /// # Errors
     /// [`Error::SceneSyntax`], [`Error::SceneValue`].
-    pub fn parse(text: &str, origin: &str) -> Result<Self> {
-        let scene: Scene = toml::from_str(text).map_err(|fault| Error::SceneSyntax {
-            origin: origin.to_owned(),
-            message: fault.to_string().trim_end().to_owned(),
-        })?;
+    pub fn parse(text: &str, origin: &str, changes: &[String]) -> Result<Self> {
+        let broken = |message: String| Error::SceneSyntax { origin: origin.to_owned(), message };
+        let say = |fault: toml::de::Error| broken(fault.to_string().trim_end().to_owned());
+        let scene: Scene = if changes.is_empty() {
+            toml::from_str(text).map_err(say)?
+        } else {
+            let mut table: toml::Table = text.parse().map_err(say)?;
+            for change in changes {
+                apply(&mut table, change).map_err(broken)?;
+            }
+            table.try_into().map_err(say)?
+        };
         scene.check(origin)?;
         Ok(scene)
     }
@@ -512,4 +521,27 @@ impl Scene {
         let start = UtcMs::parse(&self.start).expect("check() has parsed the start time");
         start.plus_s(frame as f64 * self.interval_s)
     }
+}
+
+/// Sets one key of a scene's table.
+fn apply(table: &mut toml::Table, change: &str) -> std::result::Result<(), String> {
+    let (path, value) =
+        change.split_once('=').ok_or_else(|| format!("--set {change}: write table.key=value"))?;
+    let value = value.trim();
+    let value = format!("v = {value}")
+        .parse::<toml::Table>()
+        .ok()
+        .and_then(|mut parsed| parsed.remove("v"))
+        .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+    let mut at = table;
+    let mut keys = path.trim().split('.').peekable();
+    while let Some(key) = keys.next() {
+        if keys.peek().is_none() {
+            at.insert(key.to_owned(), value);
+            return Ok(());
+        }
+        let inner = at.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        at = inner.as_table_mut().ok_or_else(|| format!("--set {change}: {key} is no table"))?;
+    }
+    Err(format!("--set {change}: write table.key=value"))
 }

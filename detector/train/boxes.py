@@ -20,7 +20,9 @@ def letterbox(img, width, height):
     nw, nh = min(width, round(w * scale)), min(height, round(h * scale))
     dx, dy = (width - nw) // 2, (height - nh) // 2
     out = np.full((height, width, 3), GREY, np.uint8)
-    out[dy:dy + nh, dx:dx + nw] = cv2.resize(img, (nw, nh), interpolation=cv2.INTER_LINEAR)
+    # Shrinking averages, as the daemon's does; enlarging is linear.
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    out[dy:dy + nh, dx:dx + nw] = cv2.resize(img, (nw, nh), interpolation=how)
     return out, (nw / w, dx, dy)
 
 

@@ -75,7 +75,7 @@ def rate(step, args, started):
     if args.until:
         done = max(done, (time.time() - started) / max(args.until - started, 1.0))
     warm = min(1.0, (step + 1) / args.warmup)
-    return warm * (0.03 + 0.97 * 0.5 * (1 + np.cos(np.pi * min(done, 1.0)))), done
+    return float(warm * (0.03 + 0.97 * 0.5 * (1 + np.cos(np.pi * min(done, 1.0))))), done
 
 
 def save(path, state):
@@ -126,7 +126,7 @@ def main():
     mean = {k: v.detach().clone() for k, v in net.state_dict().items()}
     step, started, last = 0, time.time(), os.path.join(args.out, "last.pt")
     if os.path.exists(last):
-        state = torch.load(last, map_location=device)
+        state = torch.load(last, map_location=device, weights_only=False)
         net.load_state_dict(state["net"])
         mean, step = state["mean"], state["step"]
         optimiser.load_state_dict(state["optimiser"])

@@ -1,1 +1,10 @@
 //! The detector, offline: data mix, evaluation, training, quantisation.
+//!
+//! `mix` chooses training pictures by the paper's linear program, `eval` scores boxes against
+//! labels as pycocotools does. Training itself is Python (`detector/train/`).
+
+pub mod eval;
+pub mod failure;
+pub mod light;
+pub mod mix;
+pub mod whole;

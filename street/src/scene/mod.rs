@@ -4,6 +4,11 @@
 //! keys are refused. Owns no behaviour: the road, the traffic, the picture each read their part.
 
 mod check;
+mod lane;
+mod roadside;
+
+pub use lane::{LaneSpec, Marking, Signal, Slowdown};
+pub use roadside::{Barrier, Bridge, BuildingRow, Ground, LampRow, Roadside, Strip, TreeRow};
 
 use std::path::Path;
 
@@ -12,7 +17,7 @@ use serde::Deserialize;
 
 use crate::camera::{Attitude, Camera};
 use crate::error::{Error, Result};
-use crate::road::{Direction, Piece, Road};
+use crate::road::{Piece, Road};
 use crate::time::UtcMs;
 
 /// One camera over one street.
@@ -183,206 +188,6 @@ pub struct RoadSpec {
 
 fn default_asphalt() -> f64 {
     0.17
-}
-
-/// One lane and its demand.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LaneSpec {
-    /// Centre right of the reference line, m.
-    pub offset_m: f64,
-    /// Width, m.
-    pub width_m: f64,
-    /// Way of travel.
-    pub direction: Direction,
-    /// Mean arrivals at the upstream end, veh/h.
-    pub inflow_veh_h: f64,
-    /// Desired speed of the average driver, km/h.
-    pub speed_km_h: f64,
-    /// A signalised stop line.
-    pub signal: Option<Signal>,
-    /// A stretch that slows traffic.
-    pub slowdown: Option<Slowdown>,
-}
-
-/// A fixed-time signal at a stop line. Starts green.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Signal {
-    /// Stop line along the lane from the road's start, m.
-    pub at_m: f64,
-    /// Green time, s.
-    pub green_s: f64,
-    /// Red time, s.
-    pub red_s: f64,
-    /// Start of the first green, s after the first frame (may be negative).
-    #[serde(default)]
-    pub offset_s: f64,
-}
-
-/// A stretch on which drivers want to go slower, all the time or in pulses.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Slowdown {
-    /// Start along the lane from the road's start, m.
-    pub from_m: f64,
-    /// End along the lane, m.
-    pub to_m: f64,
-    /// Desired speed there, km/h.
-    pub speed_km_h: f64,
-    /// Period of the pulses, s; absent means always slow.
-    pub period_s: Option<f64>,
-    /// Slow part of each period, s.
-    #[serde(default)]
-    pub active_s: f64,
-}
-
-/// A painted line along the road.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Marking {
-    /// Centre right of the reference line, m.
-    pub offset_m: f64,
-    /// Width, m.
-    #[serde(default = "default_marking_width")]
-    pub width_m: f64,
-    /// Length of a dash, m; absent is a solid line.
-    pub dash_m: Option<f64>,
-    /// Gap between dashes, m.
-    #[serde(default)]
-    pub gap_m: f64,
-    /// Yellow and not white.
-    #[serde(default)]
-    pub yellow: bool,
-}
-
-fn default_marking_width() -> f64 {
-    0.12
-}
-
-/// What lies and stands beside the carriageway.
-#[derive(Debug, Clone, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Roadside {
-    /// Strips of ground, later ones over earlier ones; elsewhere grass.
-    #[serde(rename = "strip")]
-    pub strips: Vec<Strip>,
-    /// Walls and rails along the road. They hide what is behind them.
-    #[serde(rename = "barrier")]
-    pub barriers: Vec<Barrier>,
-    /// Rows of trees. Scenery: must not stand between the camera and a lane.
-    #[serde(rename = "trees")]
-    pub trees: Vec<TreeRow>,
-    /// Rows of buildings. Scenery, as trees.
-    #[serde(rename = "buildings")]
-    pub buildings: Vec<BuildingRow>,
-    /// Footbridges across the road. Scenery, as trees: put them beyond the measured lanes.
-    #[serde(rename = "bridge")]
-    pub bridges: Vec<Bridge>,
-    /// Rows of street lamps.
-    #[serde(rename = "lamps")]
-    pub lamps: Vec<LampRow>,
-}
-
-/// What a strip of ground is made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Ground {
-    /// Mown grass.
-    Grass,
-    /// Paving stones.
-    Pavement,
-    /// Concrete.
-    Concrete,
-    /// Low shrubs.
-    Planting,
-}
-
-/// A strip of ground along the road.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Strip {
-    /// Left edge right of the reference line, m.
-    pub from_m: f64,
-    /// Right edge, m.
-    pub to_m: f64,
-    /// Surface.
-    pub ground: Ground,
-}
-
-/// A wall along the road.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Barrier {
-    /// Centre right of the reference line, m.
-    pub offset_m: f64,
-    /// Height, m.
-    pub height_m: f64,
-    /// Thickness, m.
-    pub width_m: f64,
-    /// A hedge and not concrete.
-    #[serde(default)]
-    pub hedge: bool,
-}
-
-/// A row of trees.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TreeRow {
-    /// Centre right of the reference line, m.
-    pub offset_m: f64,
-    /// First tree along the road, m.
-    pub from_m: f64,
-    /// Last tree along the road, m.
-    pub to_m: f64,
-    /// Distance between trees, m.
-    pub spacing_m: f64,
-    /// Mean height, m.
-    pub height_m: f64,
-}
-
-/// A row of buildings.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct BuildingRow {
-    /// Front right of the reference line, m (negative is left).
-    pub offset_m: f64,
-    /// Start along the road, m.
-    pub from_m: f64,
-    /// End along the road, m.
-    pub to_m: f64,
-    /// Mean height, m.
-    pub height_m: f64,
-}
-
-/// A bridge across the road.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Bridge {
-    /// Place along the road, m.
-    pub at_m: f64,
-    /// Underside over the road, m.
-    pub clearance_m: f64,
-    /// Height of deck and railing, m.
-    pub depth_m: f64,
-    /// Half its span, m.
-    pub half_span_m: f64,
-}
-
-/// A row of street lamps.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LampRow {
-    /// Post right of the reference line, m.
-    pub offset_m: f64,
-    /// First lamp along the road, m.
-    pub from_m: f64,
-    /// Last lamp along the road, m.
-    pub to_m: f64,
-    /// Distance between lamps, m.
-    pub spacing_m: f64,
-    /// Height, m.
-    pub height_m: f64,
 }
 
 /// Shares of vehicle classes; any scale.

@@ -21,7 +21,7 @@ pub struct Recording {
 const RECORDINGS: [Recording; 2] = [
     Recording {
         frames: "tests/data/curve/frames",
-        table: "tests/data/curve/curve.lut",
+        table: "tests/data/curve.lut",
         interval_s: None,
         window_s: 60,
     },

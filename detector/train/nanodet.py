@@ -159,10 +159,15 @@ def convolutions(net, x):
     return order
 
 
-def carry_coco(net, path):
-    """Weights of the exported COCO NanoDet-Plus-m; our columns start from related rows."""
+def carry(net, path):
+    """Weights of an exported network: COCO's NanoDet-Plus-m, or one that `export.py` wrote.
+
+    From COCO's head our columns start as related rows.
+    """
     graph = onnx.load(path).graph
     values = {i.name: numpy_helper.to_array(i) for i in graph.initializer}
+    for name in [n[: -len(".int8")] for n in values if n.endswith(".int8")]:
+        values[name] = values[name + ".int8"] * values[name + ".scale"]
     nodes = [n for n in graph.node if n.op_type == "Conv"]
     layers = convolutions(net, torch.zeros(1, 3, 64, 64))
     if len(nodes) != len(layers):

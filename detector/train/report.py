@@ -54,7 +54,7 @@ def main():
                 base = each if base is None else base
                 pairs = [a - b for a, b in zip(each, base) if a is not None]
                 gap = ""
-                if model != args.models[0] and len(pairs) > 1:
+                if model != args.models[0] and len(pairs) > 2:
                     half = STUDENT[len(pairs) - 1] * np.std(pairs, ddof=1) / len(pairs) ** 0.5
                     gap = f"{np.mean(pairs):+.3f} ± {half:.3f}"
                 spread = " ".join("-" if v is None else f"{v:.2f}" for v in each)

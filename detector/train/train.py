@@ -19,7 +19,7 @@ import augment
 import boxes as geometry
 import data
 from loss import detection_loss
-from nanodet import NanoDet, carry_coco
+from nanodet import NanoDet, carry
 
 WIDTH, HEIGHT = 416, 320
 
@@ -86,7 +86,8 @@ def save(path, state):
 def main():
     args = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     args.add_argument("--data", required=True)
-    args.add_argument("--coco", required=True)
+    args.add_argument("--coco", required=True,
+                      help="weights to start from: COCO NanoDet-Plus-m, or a model of ours, ONNX")
     args.add_argument("--out", required=True)
     args.add_argument("--teacher")
     args.add_argument("--mix", help="shares by data set and light, from `verge-detector mix`")
@@ -115,7 +116,7 @@ def main():
         for p in pictures:
             p.teacher = found.get(p.path, p.teacher)
     net = NanoDet()
-    carry_coco(net, args.coco)
+    carry(net, args.coco)
     net.freeze(args.freeze)
     net = net.to(device).to(memory_format=torch.channels_last).train()
     head = [p for h in net.head for p in h[2].parameters()]

@@ -8,9 +8,7 @@ use std::time::Duration;
 use verge::daemon::capture::{Recorded, Source, decode};
 use verge::daemon::detect::Detector;
 use verge::daemon::flow::{Frame, Picture};
-use verge::daemon::locate::Anchor;
 use verge::daemon::{Counting, LineSettings};
-use verge::density::Start;
 
 /// The system's allocator, counting what this thread asks of it.
 struct Counted;
@@ -72,19 +70,14 @@ fn capture_allocates_what_the_decoder_does() {
 
 #[test]
 fn detection_around_the_net_counting_and_windows_do_not_allocate() {
-    let Some(frames) = common::k109f_frames() else { return };
-    let settings = LineSettings {
-        table: common::K109F_TABLE.into(),
-        camera: None,
-        model: common::MODEL.into(),
-        score: None,
-        anchor: Anchor::default(),
-        windows: vec![Duration::from_secs(900)],
-        min_completeness: 0.0,
-        start: Start::WithFirstFrame,
-    };
+    let settings = LineSettings::recorded(
+        common::STREET_TABLE.as_ref(),
+        common::MODEL.as_ref(),
+        Duration::from_secs(900),
+    );
     let interval = Duration::from_secs(1);
-    let recorded = Recorded::open(&frames, Some(interval)).expect("a recording");
+    let recorded =
+        Recorded::open(common::STREET_FRAMES.as_ref(), Some(interval)).expect("a recording");
     let mut source = Source::Recorded(recorded);
     let mut counting = Counting::open(&settings, interval).expect("a right table");
     let mut detector = Detector::load(&settings.model, None).expect("a right model");

@@ -44,8 +44,19 @@ fn assert_contained(these: &Boxes, those: &Boxes, frame: usize) {
 }
 
 #[test]
-fn our_boxes_agree_with_onnx_runtimes() {
-    let Some(frames) = common::k109f_frames() else { return };
+fn our_models_boxes_agree_with_onnx_runtimes() {
+    agree(common::MODEL, Path::new("models/verge_nanodet_640x480.onnx"), "5", "0,1,2,3,4");
+}
+
+#[test]
+fn the_coco_models_boxes_agree_with_onnx_runtimes() {
+    let model = "models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx";
+    let Some(model) = common::shared(model) else { return };
+    agree(common::COCO_MODEL, &model, "80", "2,3,5,7");
+}
+
+/// Both search some frames of the simulated street.
+fn agree(sidecar: &str, model: &Path, columns: &str, vehicles: &str) {
     let has = Command::new("python3").args(["-c", "import onnxruntime, numpy, PIL"]).output();
     if !has.is_ok_and(|output| output.status.success()) {
         common::skip("python3 with onnxruntime, numpy and pillow is not installed");
@@ -53,9 +64,11 @@ fn our_boxes_agree_with_onnx_runtimes() {
     }
     // PNG, so that both decode the same pixels.
     let folder = common::folder();
-    for entry in std::fs::read_dir(&frames).expect("the frames") {
-        let path = entry.expect("an entry").path();
-        let picture = image::open(&path).expect("a whole frame");
+    let frames = std::fs::read_dir(common::STREET_FRAMES).expect("it ships");
+    let mut frames: Vec<_> = frames.map(|entry| entry.expect("an entry").path()).collect();
+    frames.sort();
+    for path in frames.iter().step_by(13) {
+        let picture = image::open(path).expect("a whole frame");
         let name = Path::new(path.file_stem().expect("a name")).with_extension("png");
         picture.save(folder.path().join(name)).expect("writing a frame");
     }
@@ -71,12 +84,12 @@ fn our_boxes_agree_with_onnx_runtimes() {
         "--score",
         "0.3",
         "--model",
-        common::MODEL,
+        sidecar,
     ]);
     assert!(output.status.success(), "{}", common::stderr(&output));
-    let model = "../shared/models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx";
     let theirs = Command::new("python3")
-        .args(["tests/reference_detector.py", model, folder_name])
+        .args(["tests/reference_detector.py", &model.to_string_lossy(), folder_name])
+        .args([columns, vehicles])
         .output()
         .expect("python3 starts");
     assert!(theirs.status.success(), "{}", common::stderr(&theirs));

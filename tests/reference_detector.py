@@ -1,9 +1,10 @@
 """An independent reading of a model: NumPy and ONNX Runtime, sharing no code with verge.
 
-usage: reference_detector.py MODEL.onnx FOLDER
+usage: reference_detector.py MODEL.onnx FOLDER COLUMNS VEHICLES
 
 For every PNG in FOLDER prints {"frame": name, "boxes": [[x0, y0, x1, y1, score], ...]}, in
-pixels of the frame, for a NanoDet-Plus model trained on COCO.
+pixels of the frame, for a NanoDet-Plus model with COLUMNS score columns, of which VEHICLES
+(numbers with commas between) are vehicles.
 """
 
 import json
@@ -14,11 +15,11 @@ import numpy as np
 import onnxruntime
 from PIL import Image
 
-VEHICLES = [2, 3, 5, 7]
 SCORE, IOU = 0.3, 0.6
 
 
-def main(model, folder):
+def main(model, folder, columns, vehicles):
+    vehicles = [int(column) for column in vehicles.split(",")]
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     _, _, height, width = session.get_inputs()[0].shape
     for path in sorted(pathlib.Path(folder).glob("*.png")):
@@ -32,7 +33,7 @@ def main(model, folder):
         bgr = (canvas[..., ::-1] - [103.53, 116.28, 123.675]) / [57.375, 57.12, 58.395]
         feed = {session.get_inputs()[0].name: bgr.transpose(2, 0, 1)[None].astype(np.float32)}
         output = session.run(None, feed)[0][0]
-        boxes = decode(output, width, height)
+        boxes = decode(output, width, height, int(columns), vehicles)
         boxes[:, [0, 2]] = (boxes[:, [0, 2]] - left) / scale
         boxes[:, [1, 3]] = (boxes[:, [1, 3]] - top) / scale
         boxes[:, [0, 2]] = boxes[:, [0, 2]].clip(0, picture.width)
@@ -40,14 +41,14 @@ def main(model, folder):
         print(json.dumps({"frame": path.name, "boxes": boxes.tolist()}))
 
 
-def decode(output, width, height):
+def decode(output, width, height, columns, vehicles):
     cells = []
     for stride in (8, 16, 32, 64):
         v, u = np.mgrid[: -(-height // stride), : -(-width // stride)]
         cells.append(np.stack([u.ravel() * stride, v.ravel() * stride, 0 * u.ravel() + stride], 1))
     cells = np.concatenate(cells).astype(np.float32)
-    scores = output[:, VEHICLES].max(1)
-    bins = output[:, 80:].reshape(-1, 4, 8)
+    scores = output[:, vehicles].max(1)
+    bins = output[:, columns:].reshape(-1, 4, 8)
     weights = np.exp(bins - bins.max(2, keepdims=True))
     sides = (weights / weights.sum(2, keepdims=True)) @ np.arange(8) * cells[:, 2:]
     corners = [cells[:, 0] - sides[:, 0], cells[:, 1] - sides[:, 1],

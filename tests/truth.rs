@@ -99,13 +99,13 @@ fn shipped(name: &str) -> Scene {
 /// The curve with its first three lanes, those towards the camera, under the same traffic.
 fn curve(traffic: &str) -> Scene {
     let mut scene = shipped("curve");
-    let stop_and_go = scene.lanes[1].slowdown.clone();
-    let queue = scene.lanes[2].signal.clone();
+    let stop_and_go = scene.lanes[1].slowdown;
+    let queue = scene.lanes[2].signal;
     for lane in &mut scene.lanes[..3] {
         (lane.slowdown, lane.signal) = match traffic {
             "free flow" => (None, None),
-            "stop-and-go" => (stop_and_go.clone(), None),
-            "queue" => (None, queue.clone()),
+            "stop-and-go" => (stop_and_go, None),
+            "queue" => (None, queue),
             other => panic!("no traffic {other}"),
         };
     }

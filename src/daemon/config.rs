@@ -111,7 +111,7 @@ impl Default for Model {
 }
 
 /// The model that is used when none is named, from the working directory.
-pub const DEFAULT_MODEL: &str = "models/nanodet_plus_m_coco_640x480.toml";
+pub const DEFAULT_MODEL: &str = "models/verge_nanodet_640x480.toml";
 
 /// Where lanes are.
 #[derive(Clone, Debug, Deserialize)]

@@ -5,7 +5,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// The model that tests use, through its sidecar.
-pub const MODEL: &str = "models/nanodet_plus_m_coco_640x480.toml";
+pub const MODEL: &str = "models/verge_nanodet_640x480.toml";
+/// The COCO model that it is compared with, through its sidecar.
+pub const COCO_MODEL: &str = "models/nanodet_plus_m_coco_640x480.toml";
+/// A recording of the simulated street, and its lane table.
+pub const STREET_FRAMES: &str = "tests/data/curve/frames";
+/// See [`STREET_FRAMES`].
+pub const STREET_TABLE: &str = "tests/data/curve.lut";
 /// The lane table of the paper's camera.
 pub const K109F_TABLE: &str = "tests/data/k109f.lut";
 
@@ -27,9 +33,8 @@ pub fn shared(path: &str) -> Option<PathBuf> {
     None
 }
 
-/// The recorded frames of the paper's camera, with the model that searches them.
+/// The recorded frames of the paper's camera.
 pub fn k109f_frames() -> Option<PathBuf> {
-    shared("models/nanodet_plus_m/nanodet_plus_m_coco_640x480.onnx")?;
     shared("data/k109f/camera_calibration/K109F/images")
 }
 

@@ -22,8 +22,7 @@ pub fn run() -> Result<(), Failure> {
     let window = Duration::from_secs(recording.window_s);
     let model = recording::model()?;
     let settings = LineSettings::recorded(recording.table.as_ref(), model, window);
-    let interval = recording.interval_s.map(Duration::from_secs);
-    let (recorded, mut line) = open_recording(&settings, recording.frames.as_ref(), interval)?;
+    let (recorded, mut line) = open_recording(&settings, recording.frames.as_ref(), None)?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
         .map_err(|e| Failure::Internal(e.to_string()))?;

@@ -11,39 +11,22 @@ pub struct Recording {
     pub frames: &'static str,
     /// Lane table.
     pub table: &'static str,
-    /// Time between frames where their names do not tell, s.
-    pub interval_s: Option<u64>,
     /// Window that it fills several times, s.
     pub window_s: u64,
 }
 
-/// In the order of preference: our own first, then the paper's camera.
-const RECORDINGS: [Recording; 2] = [
-    Recording {
-        frames: "tests/data/curve/frames",
-        table: "tests/data/curve.lut",
-        interval_s: None,
-        window_s: 60,
-    },
-    Recording {
-        frames: "../shared/data/k109f/camera_calibration/K109F/images",
-        table: "tests/data/k109f.lut",
-        interval_s: Some(120),
-        window_s: 300,
-    },
-];
+/// Three minutes of the simulated street.
+const CURVE: Recording =
+    Recording { frames: "tests/data/curve/frames", table: "tests/data/curve.lut", window_s: 60 };
 
-const HINT: &str = "run it in the project's folder, with the shared data and models beside it";
+const HINT: &str = "run it in the project's folder";
 
-/// The first recording that is there.
+/// The recording, if it is there.
 pub fn find() -> Result<Recording, Failure> {
-    let there = |recording: &&Recording| {
-        Path::new(recording.frames).is_dir() && Path::new(recording.table).is_file()
-    };
-    RECORDINGS.iter().find(there).copied().ok_or_else(|| Failure::DemoFiles {
-        what: format!("a recording ({} or {})", RECORDINGS[0].frames, RECORDINGS[1].frames),
-        hint: HINT,
-    })
+    if Path::new(CURVE.frames).is_dir() && Path::new(CURVE.table).is_file() {
+        return Ok(CURVE);
+    }
+    Err(Failure::DemoFiles { what: format!("{} and {}", CURVE.frames, CURVE.table), hint: HINT })
 }
 
 /// The model, which must be there too.

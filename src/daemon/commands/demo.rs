@@ -5,9 +5,10 @@
 
 use super::recording;
 use crate::daemon::exit::Failure;
+use crate::daemon::playback::play;
 use crate::daemon::publish::loopback::{self, Subscriber};
 use crate::daemon::publish::{Format, MqttSettings, Publisher};
-use crate::daemon::{LineSettings, open_recording, play};
+use crate::daemon::{LineSettings, open_recording};
 use serde_json::Value;
 use std::thread;
 use std::time::{Duration, Instant};

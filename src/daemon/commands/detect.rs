@@ -3,8 +3,9 @@
 use super::text;
 use crate::daemon::cli;
 use crate::daemon::exit::Failure;
+use crate::daemon::open_detector;
 use crate::daemon::output::WholeFile;
-use crate::daemon::{open_detector, search};
+use crate::daemon::playback::search;
 
 pub fn run(args: &cli::Detect) -> Result<(), Failure> {
     let (recorded, mut detector) =

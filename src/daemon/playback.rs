@@ -1,0 +1,102 @@
+//! A recording from its first frame to its last, through a line or a detector.
+//!
+//! Owns what happens to frames that cannot be used: they are said, counted as missed, and
+//! only a recording of which nothing could be used is an error.
+
+use super::capture::{Captured, Recorded, Source};
+use super::exit::Failure;
+use super::flow::{Detection, Frame};
+use super::{Detector, Line};
+use crate::density::{Closed, SampleZoneStatus};
+
+/// Plays a recording through a line: each frame that was measured, and the windows as
+/// they close. Frames that cannot be measured are said and count as missed.
+pub(super) fn play(
+    recorded: Recorded,
+    line: &mut Line,
+    mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
+    mut on_windows: impl FnMut(&Closed) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut player = Player::new(recorded);
+    while let Some(captured) = player.next() {
+        let outcome = captured.and_then(|()| line.measure(&player.frame));
+        let closed = match outcome {
+            Ok(closed) => {
+                player.measured += 1;
+                on_frame(&player.frame, line.found())?;
+                closed
+            }
+            Err(fault) => {
+                player.note(&fault);
+                line.miss(player.frame.time, SampleZoneStatus::InputDataIntegrity)
+            }
+        };
+        on_windows(&closed)?;
+    }
+    player.finish()?;
+    on_windows(&line.counting().windows().finish())
+}
+
+/// Searches a recording for vehicles. Frames that cannot be searched are said.
+pub(super) fn search(
+    recorded: Recorded,
+    detector: &mut Detector,
+    mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut player = Player::new(recorded);
+    let mut found = Vec::new();
+    while let Some(captured) = player.next() {
+        let outcome =
+            captured.and_then(|()| Ok(detector.detect(&player.frame.picture, &mut found)?));
+        match outcome {
+            Ok(()) => {
+                player.measured += 1;
+                on_frame(&player.frame, &found)?;
+            }
+            Err(fault) => player.note(&fault),
+        }
+    }
+    player.finish()
+}
+
+/// A recording as it is played, and how that goes.
+struct Player {
+    source: Source,
+    frame: Frame,
+    frames: usize,
+    measured: usize,
+    first_fault: Option<String>,
+}
+
+impl Player {
+    fn new(recorded: Recorded) -> Self {
+        let frames = recorded.frames();
+        let source = Source::Recorded(recorded);
+        Self { source, frame: Frame::default(), frames, measured: 0, first_fault: None }
+    }
+
+    /// Fills `frame` with the next picture; `None` at the end.
+    fn next(&mut self) -> Option<Result<(), Failure>> {
+        match self.source.next(&mut self.frame) {
+            Ok(Captured::End) => None,
+            Ok(Captured::New | Captured::Unchanged) => Some(Ok(())),
+            Err(fault) => Some(Err(fault.into())),
+        }
+    }
+
+    fn note(&mut self, fault: &Failure) {
+        let fault = fault.to_string();
+        log::warn!("frame {} is left out: {fault}", self.frame.name);
+        self.first_fault.get_or_insert(fault);
+    }
+
+    /// A recording of which nothing could be measured is an error.
+    fn finish(self) -> Result<(), Failure> {
+        match self.first_fault {
+            Some(first) if self.measured == 0 => {
+                Err(Failure::NothingMeasured { frames: self.frames, first })
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! Tests of the lane table: golden bytes, round trip, damage.
+
+use super::*;
+
+fn lane(number: u8) -> LaneId {
+    LaneId::new(number).expect("a test's lane number is in range")
+}
+
+fn description() -> Description {
+    Description {
+        camera_id: Name::try_from("K1").expect("short"),
+        image_size: ImageSize { width: 4, height: 2 },
+        lanes: heapless::Vec::from_slice(&[
+            Lane { id: lane(1), direction: Direction::Toward, length_m: 50.0 },
+            Lane { id: lane(3), direction: Direction::Away, length_m: 40.25 },
+        ])
+        .expect("two of eight"),
+        length_rel_err: Some(0.0625),
+        calibration_id: Name::try_from("c").expect("short"),
+        calibration_sha256: [0xab; 32],
+    }
+}
+
+/// Lane 1 in the first column, lane 3 in the last, nothing between.
+fn cell(u: u16, v: u16) -> Option<Place> {
+    let at = |number, s_m, span_m| Some(Place { lane: lane(number), s_m, span_m });
+    match u {
+        0 => at(1, 50.0 - 25.0 * f32::from(v), 0.5),
+        3 => at(3, 40.25, 0.125),
+        _ => None,
+    }
+}
+
+fn encoded() -> std::vec::Vec<u8> {
+    let mut bytes = std::vec![0; encoded_len(&description())];
+    let len = encode(&description(), cell, &mut bytes).expect("the test's table is right");
+    assert_eq!(len, bytes.len());
+    bytes
+}
+
+#[test]
+fn golden_bytes() {
+    let mut golden = std::vec::Vec::new();
+    golden.extend_from_slice(b"VERGELUT\x01\x00");
+    let description: &[&[u8]] = &[
+        b"\x02K1",
+        &[4, 2],
+        &[2, 1, 1, 0, 0, 0x48, 0x42, 3, 2, 0, 0, 0x21, 0x42],
+        &[1, 0, 0, 0x80, 0x3d],
+        b"\x01c",
+        &[0xab; 32],
+    ];
+    let description = description.concat();
+    golden.extend_from_slice(&(description.len() as u16).to_le_bytes());
+    golden.extend_from_slice(&description);
+    let none = [0; 5];
+    let far = [3, 0xb9, 0x0f, 125, 0];
+    for first in [[1, 0x88, 0x13, 0xf4, 1], [1, 0xc4, 0x09, 0xf4, 1]] {
+        golden.extend_from_slice(&[first, none, none, far].concat());
+    }
+    golden.extend_from_slice(&CRC.checksum(&golden).to_le_bytes());
+    assert_eq!(encoded(), golden);
+    assert_eq!(&golden[golden.len() - 4..], &[62, 62, 150, 240], "the checksum's own bytes");
+}
+
+#[test]
+fn round_trip() {
+    let bytes = encoded();
+    let table = LaneTable::parse(&bytes[..]).expect("just written");
+    assert_eq!(table.description(), &description());
+    for v in 0..2u16 {
+        for u in 0..4u16 {
+            let point = ImagePoint { u: f32::from(u) + 0.5, v: f32::from(v) + 0.999 };
+            assert_eq!(table.place(point), cell(u, v), "cell ({u}, {v})");
+        }
+    }
+}
+
+#[test]
+fn points_outside_the_picture_have_no_place() {
+    let bytes = encoded();
+    let table = LaneTable::parse(&bytes[..]).expect("just written");
+    for (u, v) in
+        [(-0.01, 0.5), (0.5, -1.0), (4.0, 0.5), (0.5, 2.0), (f32::NAN, 0.5), (0.5, f32::INFINITY)]
+    {
+        assert_eq!(table.place(ImagePoint { u, v }), None, "({u}, {v})");
+    }
+}
+
+#[test]
+fn every_flipped_bit_is_refused() {
+    let good = encoded();
+    for bit in 0..good.len() * 8 {
+        let mut bad = good.clone();
+        bad[bit / 8] ^= 1 << (bit % 8);
+        assert!(LaneTable::parse(&bad[..]).is_err(), "bit {bit}");
+    }
+}
+
+#[test]
+fn every_truncation_and_an_added_byte_are_refused() {
+    let good = encoded();
+    for len in 0..good.len() {
+        assert!(LaneTable::parse(&good[..len]).is_err(), "{len} bytes");
+    }
+    let mut long = good.clone();
+    long.push(0);
+    assert!(LaneTable::parse(&long[..]).is_err());
+}
+
+/// Bytes with a right checksum but a wrong inside: the reader trusts no writer.
+fn resealed(change: impl FnOnce(&mut std::vec::Vec<u8>)) -> std::vec::Vec<u8> {
+    let mut bytes = encoded();
+    bytes.truncate(bytes.len() - 4);
+    change(&mut bytes);
+    let crc = CRC.checksum(&bytes);
+    bytes.extend_from_slice(&crc.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn a_well_sealed_lie_is_refused() {
+    let cells = encoded().len() - 4 - 8 * CELL;
+    let unknown_lane = resealed(|bytes| bytes[cells] = 2);
+    assert_eq!(
+        LaneTable::parse(&unknown_lane[..]).err(),
+        Some(LaneTableError::CellLane { cell: 0, lane: 2 })
+    );
+    let beyond = resealed(|bytes| bytes[cells + 2] = 0xff);
+    assert_eq!(LaneTable::parse(&beyond[..]).err(), Some(LaneTableError::CellDistance { cell: 0 }));
+    let lane_zero = resealed(|bytes| bytes[18] = 0);
+    assert_eq!(LaneTable::parse(&lane_zero[..]).err(), Some(LaneTableError::Description));
+}
+
+#[test]
+fn impossible_descriptions_are_not_written() {
+    let mut buffer = [0; 512];
+    let mut longer = description();
+    longer.lanes[0].length_m = f32::NAN;
+    assert!(encode(&longer, cell, &mut buffer).is_err());
+    let mut unordered = description();
+    unordered.lanes.swap(0, 1);
+    assert!(encode(&unordered, cell, &mut buffer).is_err());
+    let mut small = [0; 16];
+    assert!(matches!(
+        encode(&description(), cell, &mut small),
+        Err(LaneTableError::Buffer { actual: 16, .. })
+    ));
+}

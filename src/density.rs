@@ -35,19 +35,6 @@ pub enum SampleZoneStatus {
     DetectionAutoSuspended,
 }
 
-impl SampleZoneStatus {
-    /// The number in NTCIP 1209.
-    pub const fn ntcip(self) -> u8 {
-        match self {
-            Self::Ok => 2,
-            Self::SensorFailure => 10,
-            Self::InputDataIntegrity => 11,
-            Self::PoorContrast => 12,
-            Self::DetectionAutoSuspended => 13,
-        }
-    }
-}
-
 /// What one frame shows in one lane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct LaneCount {

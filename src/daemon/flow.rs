@@ -2,7 +2,7 @@
 //!
 //! Owns their shape and nothing else; stages know these types and never each other.
 
-use crate::units::{ImageSize, UtcMs, VehicleClass};
+use crate::units::{UtcMs, VehicleClass};
 
 /// One picture as the camera gave it. Its buffers are kept from frame to frame.
 #[derive(Debug, Default)]
@@ -24,14 +24,6 @@ pub struct Picture {
     pub height: usize,
     /// `width * height * 3` bytes.
     pub rgb: Vec<u8>,
-}
-
-impl Picture {
-    /// Its size; `None` for a picture too large for a lane table to address.
-    pub fn size(&self) -> Option<ImageSize> {
-        let (width, height) = (self.width.try_into().ok()?, self.height.try_into().ok()?);
-        Some(ImageSize { width, height })
-    }
 }
 
 /// An axis-aligned box in the picture, px.

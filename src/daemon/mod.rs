@@ -135,11 +135,6 @@ impl Counting {
         Ok(self.aggregator.observe(time, &counts))
     }
 
-    /// The vehicles of the latest picture in their lanes.
-    pub fn located(&self) -> &[Located] {
-        &self.located
-    }
-
     /// What the lane table says about itself.
     pub fn table(&self) -> &Description {
         self.locator.description()

@@ -1,18 +1,34 @@
 //! `verge bench`: what each stage takes, as JSON.
 
-use super::recording;
-use crate::daemon::cli::Bench;
+use super::{ModelArgs, recording};
 use crate::daemon::exit::Failure;
 use crate::daemon::{Counting, LineSettings, StageTimes, open_endless};
 use crate::units::{ImagePoint, ImageSize};
 use serde_json::json;
 use std::hint::black_box;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Look-ups that are timed together.
 const LOOK_UPS: u32 = 1_000_000;
 
-pub fn run(args: &Bench) -> Result<(), Failure> {
+/// Its arguments.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder of JPEG or PNG frames [default: the demo's recording]
+    #[arg(long, value_name = "DIR", requires = "table")]
+    frames: Option<PathBuf>,
+    /// Lane table of these frames
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Frames to measure, after as many again to warm up
+    #[arg(long, value_name = "N", default_value_t = 50)]
+    count: usize,
+}
+
+pub fn run(args: &Args) -> Result<(), Failure> {
     let started = Instant::now();
     let (frames, table) = match (&args.frames, &args.table) {
         (Some(frames), Some(table)) => (frames.clone(), table.clone()),

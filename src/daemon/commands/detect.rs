@@ -1,13 +1,26 @@
 //! `verge detect`: boxes of recorded frames, without a lane table.
 
-use super::text;
-use crate::daemon::cli;
+use super::{ModelArgs, text};
 use crate::daemon::exit::Failure;
 use crate::daemon::open_detector;
 use crate::daemon::output::WholeFile;
 use crate::daemon::playback::search;
+use std::path::PathBuf;
 
-pub fn run(args: &cli::Detect) -> Result<(), Failure> {
+/// Its arguments.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder of JPEG or PNG frames
+    #[arg(long, value_name = "DIR")]
+    frames: PathBuf,
+    /// Where each frame's boxes are written, JSON Lines
+    #[arg(long, value_name = "FILE")]
+    detections: PathBuf,
+    #[command(flatten)]
+    model: ModelArgs,
+}
+
+pub fn run(args: &Args) -> Result<(), Failure> {
     let (recorded, mut detector) =
         open_detector(&args.frames, &args.model.model, args.model.score)?;
     let mut file = WholeFile::create(&args.detections)?;

@@ -10,3 +10,17 @@ mod recording;
 pub mod replay;
 pub mod run;
 mod text;
+
+use super::config::DEFAULT_MODEL;
+use std::path::PathBuf;
+
+/// Which model to use.
+#[derive(Debug, clap::Args)]
+pub struct ModelArgs {
+    /// Model (.onnx) or its sidecar (.toml)
+    #[arg(long, value_name = "FILE", default_value = DEFAULT_MODEL)]
+    model: PathBuf,
+    /// Least score that counts, 0 to 1 [default: the sidecar's]
+    #[arg(long, value_name = "SCORE")]
+    score: Option<f32>,
+}

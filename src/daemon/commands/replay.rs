@@ -1,18 +1,45 @@
 //! `verge replay`: density in recorded frames, the same bytes each time.
 
-use super::text;
-use crate::daemon::cli::Replay;
+use super::{ModelArgs, text};
 use crate::daemon::clock::rfc3339;
 use crate::daemon::exit::Failure;
 use crate::daemon::output::WholeFile;
 use crate::daemon::playback::play;
 use crate::daemon::publish::{payload, window_name};
-use crate::daemon::{LineSettings, open_recording};
+use crate::daemon::{Anchor, LineSettings, open_recording};
 use std::io::{ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-pub fn run(args: &Replay) -> Result<(), Failure> {
+/// Its arguments.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Lane table
+    #[arg(long, value_name = "FILE")]
+    table: PathBuf,
+    /// Folder of JPEG or PNG frames, played in the order of their names
+    #[arg(long, value_name = "DIR")]
+    frames: PathBuf,
+    #[command(flatten)]
+    model: ModelArgs,
+    /// One JSON object per window instead of one line per lane
+    #[arg(long)]
+    json: bool,
+    /// Window length, s
+    #[arg(long, value_name = "S", default_value_t = 900)]
+    window: u64,
+    /// Time between frames, s [default: from names, file times, else 120]
+    #[arg(long, value_name = "S")]
+    interval: Option<f64>,
+    /// Also write each frame's boxes here, JSON Lines
+    #[arg(long, value_name = "FILE")]
+    detections: Option<PathBuf>,
+    /// Which point of a box stands for the vehicle
+    #[arg(long, value_enum, default_value_t)]
+    anchor: Anchor,
+}
+
+pub fn run(args: &Args) -> Result<(), Failure> {
     let settings = LineSettings {
         score: args.model.score,
         anchor: args.anchor,

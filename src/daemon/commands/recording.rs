@@ -1,5 +1,6 @@
 //! The recording that `demo` and `bench` play when none is named.
 
+#[cfg(feature = "demo")]
 use crate::daemon::config::DEFAULT_MODEL;
 use crate::daemon::exit::Failure;
 use std::path::Path;
@@ -30,6 +31,7 @@ pub fn find() -> Result<Recording, Failure> {
 }
 
 /// The model, which must be there too.
+#[cfg(feature = "demo")]
 pub fn model() -> Result<&'static Path, Failure> {
     let model = Path::new(DEFAULT_MODEL);
     if model.is_file() {

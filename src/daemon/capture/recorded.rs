@@ -65,7 +65,7 @@ pub struct Recorded {
 
 impl Recorded {
     /// Lists a folder. `interval` is the time between frames; without it the names' times
-    /// count, then the files', then [`DEFAULT_INTERVAL`].
+    /// count, then the files', then one in two minutes is assumed.
     ///
     /// # Errors
     /// [`RecordingError`] where there is nothing to play.

@@ -4,6 +4,7 @@
 //! table, windows, MQTT over loopback, and JSON.
 
 use super::recording;
+use crate::daemon::config::DEFAULT_MODEL;
 use crate::daemon::exit::Failure;
 use crate::daemon::playback::play;
 use crate::daemon::publish::loopback::{self, Subscriber};
@@ -15,14 +16,14 @@ use std::time::{Duration, Instant};
 
 /// Longest wait for a message: one window's frames on a slow machine.
 const PATIENCE: Duration = Duration::from_secs(50);
+/// The recording fills three of them.
+const WINDOW: Duration = Duration::from_secs(60);
 const ROOT: &str = "verge/demo";
 
 pub fn run() -> Result<(), Failure> {
     let started = Instant::now();
     let recording = recording::find()?;
-    let window = Duration::from_secs(recording.window_s);
-    let model = recording::model()?;
-    let settings = LineSettings::recorded(recording.table.as_ref(), model, window);
+    let settings = LineSettings::recorded(recording.table.as_ref(), DEFAULT_MODEL.as_ref(), WINDOW);
     let (recorded, mut line) = open_recording(&settings, recording.frames.as_ref(), None)?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
@@ -31,7 +32,7 @@ pub fn run() -> Result<(), Failure> {
         "{} frames of {} -> {} -> {} -> mqtt://127.0.0.1:{port}/{ROOT}",
         recorded.frames(),
         recording.frames,
-        model.display(),
+        DEFAULT_MODEL,
         recording.table,
     );
     let printer = thread::spawn(move || print_until_shutdown(subscriber));

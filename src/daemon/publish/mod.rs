@@ -1,6 +1,6 @@
 //! Publish: the last stage, from a [`WindowReport`] to messages at the broker.
 //!
-//! Owns topics, formats and numbering. The door of the crate `rumqttc` is [`mqtt`]; what
+//! Owns topics, formats and numbering. The door of the crate `rumqttc` is `mqtt`; what
 //! the messages look like in JSON stands in [`payload`].
 
 #[cfg(feature = "demo")]

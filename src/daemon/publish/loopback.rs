@@ -8,8 +8,11 @@ use std::collections::HashMap;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
-/// Longest wait for the broker to listen.
-const START: Duration = Duration::from_secs(5);
+/// Longest wait for the broker to listen, and for a subscription to stand.
+const START: Duration = Duration::from_secs(20);
+
+/// Between two attempts at a subscription.
+const RETRY: Duration = Duration::from_millis(50);
 
 /// Why there is no broker or no subscription.
 #[derive(Debug, thiserror::Error)]
@@ -31,7 +34,7 @@ pub enum LoopbackError {
 /// Starts a broker in threads of its own, until the program ends, and returns its port.
 ///
 /// # Errors
-/// [`LoopbackError`] where it does not listen within five seconds.
+/// [`LoopbackError`] where it does not listen in 20 s.
 pub fn start_broker() -> Result<u16, LoopbackError> {
     let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(LoopbackError::Port)?;
     let address = free.local_addr().map_err(LoopbackError::Port)?;
@@ -95,21 +98,32 @@ pub struct Subscriber {
 }
 
 impl Subscriber {
-    /// Subscribes to `filter` at the broker on that port.
+    /// Subscribes to `filter` at the broker on that port. A connection that breaks before
+    /// the subscription stands is made again, as any client would.
     ///
     /// # Errors
-    /// [`LoopbackError::Subscribe`].
+    /// [`LoopbackError::Subscribe`] where none stands in 20 s.
     pub fn connect(port: u16, filter: &str) -> Result<Self, LoopbackError> {
-        let failed = |error: String| LoopbackError::Subscribe(error);
+        let until = Instant::now() + START;
+        loop {
+            match Self::attempt(port, filter, until) {
+                Err(_) if Instant::now() < until => std::thread::sleep(RETRY),
+                result => return result.map_err(LoopbackError::Subscribe),
+            }
+        }
+    }
+
+    fn attempt(port: u16, filter: &str, until: Instant) -> Result<Self, String> {
         let options = MqttOptions::new("traffic-management-centre", "127.0.0.1", port);
         let (client, mut connection) = Client::new(options, 10);
-        client.subscribe(filter, QoS::AtLeastOnce).map_err(|e| failed(e.to_string()))?;
+        client.subscribe(filter, QoS::AtLeastOnce).map_err(|e| e.to_string())?;
         loop {
-            match connection.recv_timeout(START) {
+            let left = until.saturating_duration_since(Instant::now());
+            match connection.recv_timeout(left) {
                 Ok(Ok(Event::Incoming(Packet::SubAck(_)))) => break,
                 Ok(Ok(_)) => {}
-                Ok(Err(error)) => return Err(failed(error.to_string())),
-                Err(_) => return Err(failed("no answer".into())),
+                Ok(Err(error)) => return Err(error.to_string()),
+                Err(_) => return Err("no answer".into()),
             }
         }
         Ok(Self { _client: client, connection })

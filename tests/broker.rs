@@ -4,11 +4,10 @@
 mod common;
 
 use common::folder;
+use common::mosquitto::{Mosquitto, Running, free_port};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use verge::daemon::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
@@ -205,58 +204,6 @@ fn an_outage_is_replayed_on_its_own_topic() {
         tend(&mut outlet, "replay", |outlet| outlet.counts().waiting == 0);
         assert_eq!(arrival(&mut subscriber), replay(4, true));
         outlet.stop();
-    }
-}
-
-fn free_port() -> u16 {
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
-    free.local_addr().expect("its address").port()
-}
-
-/// Debian's broker, on a port of this machine, ended with the value.
-struct Mosquitto {
-    program: &'static str,
-}
-
-impl Mosquitto {
-    fn installed() -> Option<Self> {
-        let program = ["/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto"]
-            .into_iter()
-            .find(|path| Path::new(path).exists());
-        if program.is_none() {
-            common::skip("mosquitto is not installed");
-        }
-        program.map(|program| Self { program })
-    }
-
-    fn start(&self, port: u16) -> Running {
-        let child = Command::new(self.program)
-            .args(["-p", &port.to_string()])
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("mosquitto starts");
-        let running = Running(child);
-        let started = Instant::now();
-        while TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err() {
-            assert!(started.elapsed() < PATIENCE, "mosquitto does not listen");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        running
-    }
-}
-
-struct Running(Child);
-
-impl Running {
-    fn kill(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.kill();
     }
 }
 

@@ -1,9 +1,10 @@
 //! The connection to the broker, in a thread of its own.
 //!
 //! Owns what the connection is made with and the handle on its thread. `worker` owns the
-//! life of sessions, `link` the two versions of MQTT; both with this file are the door of
-//! the crate `rumqttc`.
+//! life of sessions, `backoff` the waits between them, `link` the two versions of MQTT: the
+//! door of the crate `rumqttc`.
 
+mod backoff;
 mod link;
 mod worker;
 

@@ -4,6 +4,7 @@
 //! broker has them; windows live in a session and no longer, for the spool has them and gives
 //! them again to the next.
 
+use super::backoff::Backoff;
 use super::link::{IN_FLIGHT, Link, Signal};
 use super::{CONNECT, Message, MqttSettings, Report, Statistics};
 use std::collections::VecDeque;
@@ -16,10 +17,6 @@ use std::time::{Duration, Instant};
 const TICK: Duration = Duration::from_millis(50);
 /// Longest wait for the last words of a connection to leave.
 const GOODBYE: Duration = Duration::from_secs(1);
-/// Shortest and longest ceiling of the wait between two attempts; the wait itself is
-/// uniform between 0 and the ceiling, which doubles ("full jitter"), so that a city of
-/// boxes does not knock at a restarted broker at once.
-const BACKOFF: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 /// Most states that wait: presence, health and every alarm are a dozen topics.
 const MAX_STATES: usize = 64;
 
@@ -61,6 +58,7 @@ pub(super) struct Worker {
     commands: Receiver<Command>,
     reports: Sender<Report>,
     statistics: Arc<Statistics>,
+    backoff: Backoff,
     session: u64,
     /// States and live windows, in their order.
     queue: VecDeque<Sending>,
@@ -82,6 +80,7 @@ impl Worker {
             commands,
             reports,
             statistics,
+            backoff: Backoff::new(),
             session: 0,
             queue: VecDeque::new(),
             arrears: VecDeque::new(),
@@ -91,25 +90,20 @@ impl Worker {
     }
 
     pub(super) fn run(mut self) {
-        let mut ceiling = BACKOFF.0;
+        let mut random = fastrand::Rng::new();
         loop {
-            let started = Instant::now();
             let reason = self.session().unwrap_or_else(|reason| reason);
             self.collect();
             self.end_session();
             if self.stop_at.is_some() {
                 return;
             }
-            if started.elapsed() > BACKOFF.1 {
-                ceiling = BACKOFF.0;
-            }
-            let wait = ceiling.mul_f64(fastrand::f64());
+            let wait = self.backoff.wait(&mut random);
             let MqttSettings { host, port, .. } = &self.settings;
             log::warn!(
                 "broker {host}:{port}: {reason}; next attempt in {:.1} s",
                 wait.as_secs_f64()
             );
-            ceiling = (ceiling * 2).min(BACKOFF.1);
             self.rest(wait);
         }
     }
@@ -194,6 +188,7 @@ impl Worker {
 
     fn taken(&mut self, packet: u16) {
         let Some(sent) = self.remove(packet) else { return };
+        self.backoff.reset();
         if sent.kind != Kind::Presence {
             self.statistics.delivered.fetch_add(1, Ordering::Relaxed);
         }

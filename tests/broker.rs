@@ -7,11 +7,14 @@ use common::folder;
 use common::mosquitto::{Mosquitto, Running, free_port};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use verge::daemon::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
-use verge::daemon::publish::{Format, Identity, MqttSettings, MqttVersion, payload};
+use verge::daemon::publish::{
+    Format, Identity, MqttSettings, MqttVersion, Tls, TlsFiles, payload, probe,
+};
 use verge::density::{Aggregator, FrameCounts, Start, WindowReport};
 use verge::lane::LaneTable;
 use verge::units::{LaneId, UtcMs, VehicleClass};
@@ -205,6 +208,75 @@ fn an_outage_is_replayed_on_its_own_topic() {
         assert_eq!(arrival(&mut subscriber), replay(4, true));
         outlet.stop();
     }
+}
+
+/// A key with a certificate for `name` that the authority has signed, as PEM files.
+fn signed(
+    folder: &Path,
+    name: &str,
+    authority: &rcgen::Issuer<'_, rcgen::KeyPair>,
+) -> (PathBuf, PathBuf) {
+    let key = rcgen::KeyPair::generate().expect("a key");
+    let parameters = rcgen::CertificateParams::new([name.to_owned()]).expect("a name");
+    let certificate = parameters.signed_by(&key, authority).expect("a certificate");
+    let paths = (folder.join(format!("{name}.pem")), folder.join(format!("{name}.key")));
+    std::fs::write(&paths.0, certificate.pem()).expect("writing it");
+    std::fs::write(&paths.1, key.serialize_pem()).expect("writing it");
+    paths
+}
+
+/// A certificate authority, and its certificate as a PEM file.
+fn authority(folder: &Path, name: &str) -> (rcgen::Issuer<'static, rcgen::KeyPair>, PathBuf) {
+    let mut parameters = rcgen::CertificateParams::new([name.to_owned()]).expect("a name");
+    parameters.is_ca = rcgen::IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
+    parameters.distinguished_name.push(rcgen::DnType::CommonName, name);
+    let key = rcgen::KeyPair::generate().expect("a key");
+    let certificate = parameters.self_signed(&key).expect("a certificate");
+    let path = folder.join(format!("{name}.pem"));
+    std::fs::write(&path, certificate.pem()).expect("writing it");
+    (rcgen::Issuer::new(parameters, key), path)
+}
+
+#[test]
+fn tls_with_certificates_of_both_sides() {
+    let Some(mosquitto) = Mosquitto::installed() else { return };
+    let folder = folder();
+    let (ours, ca) = authority(folder.path(), "authority");
+    let (_, stranger) = authority(folder.path(), "stranger");
+    let (certificate, key) = signed(folder.path(), "localhost", &ours);
+    let identity = signed(folder.path(), "box", &ours);
+    let port = free_port();
+    let text = format!(
+        "listener {port} 127.0.0.1\nallow_anonymous true\nrequire_certificate true\n\
+         cafile {}\ncertfile {}\nkeyfile {}\n",
+        ca.display(),
+        certificate.display(),
+        key.display()
+    );
+    let config = folder.path().join("mosquitto.conf");
+    std::fs::write(&config, text).expect("writing it");
+    // Debian's broker gives up root, and must read its key still.
+    #[cfg(unix)]
+    for path in [folder.path(), key.as_path()] {
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).expect("chmod");
+    }
+    let _broker = mosquitto.start_with(port, &config);
+    for (ca, identity, accepted) in
+        [(&ca, Some(&identity), true), (&ca, None, false), (&stranger, Some(&identity), false)]
+    {
+        for version in [MqttVersion::V3, MqttVersion::V5] {
+            let files = TlsFiles { ca: Some(ca.clone()), identity: identity.cloned() };
+            let tls = Some(Tls::load(&files).expect("right files"));
+            let host = "localhost".into();
+            let local = MqttSettings::local(port, "verge/k109f");
+            let outcome = probe(&MqttSettings { host, tls, version, ..local });
+            assert_eq!(outcome.is_ok(), accepted, "{outcome:?}");
+        }
+    }
+    let files = TlsFiles { ca: Some(key.clone()), identity: None };
+    let error = Tls::load(&files).expect_err("a key is no certificate").to_string();
+    assert!(error.contains("mqtt.ca_file") && error.contains("localhost.key"), "{error}");
 }
 
 #[test]

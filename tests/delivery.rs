@@ -8,10 +8,10 @@
 mod common;
 
 use common::mosquitto::{Mosquitto, Running, free_port};
-use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{Ipv4Addr, TcpStream};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
@@ -183,24 +183,49 @@ fn killed_at_random_the_daemon_loses_no_accepted_window() {
     println!("{kills} kills: {total} windows said to be accepted, {last} arrived, {twice} twice");
 }
 
-/// Hears every message that the broker has sent before it was killed. It acknowledges
-/// nothing (QoS 0): the first acknowledgement that fails would end its reading too early.
+/// Hears every message that the broker has sent before it was killed: a subscriber of
+/// thirty lines, since a client library gives up what it has read when the connection ends.
 fn listen(port: u16) -> Receiver<(String, Vec<u8>)> {
-    let options = MqttOptions::new("listener", "127.0.0.1", port);
-    let (client, mut connection) = Client::new(options, 10);
-    client.subscribe("verge/#", QoS::AtMostOnce).expect("room for a request");
-    let subscribed = |event| matches!(event, Event::Incoming(Packet::SubAck(_)));
-    while !subscribed(connection.recv().expect("the client lives").expect("a connection")) {}
+    let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("a connection");
+    // MQTT 3.1.1: CONNECT as "ear" with a clean session and no keep-alive; SUBSCRIBE to
+    // "verge/#" with QoS 0.
+    stream.write_all(b"\x10\x0f\x00\x04MQTT\x04\x02\x00\x00\x00\x03ear").expect("sent");
+    stream.write_all(b"\x82\x0c\x00\x01\x00\x07verge/#\x00").expect("sent");
+    let mut stream = BufReader::new(stream);
+    let (kind, _) = packet(&mut stream).expect("an answer");
+    assert_eq!(kind, 0x20, "CONNACK");
+    let (kind, _) = packet(&mut stream).expect("an answer");
+    assert_eq!(kind, 0x90, "SUBACK");
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
-        let _client = client;
-        while let Ok(Ok(event)) = connection.recv() {
-            if let Event::Incoming(Packet::Publish(message)) = event {
-                let _ = sender.send((message.topic, message.payload.to_vec()));
+        while let Some((kind, body)) = packet(&mut stream) {
+            if kind & 0xf0 == 0x30 {
+                let (length, rest) = body.split_first_chunk::<2>().expect("a topic");
+                let (topic, payload) = rest.split_at(usize::from(u16::from_be_bytes(*length)));
+                let topic = String::from_utf8(topic.to_vec()).expect("UTF-8");
+                let _ = sender.send((topic, payload.to_vec()));
             }
         }
     });
     receiver
+}
+
+/// The first byte and the body of the next MQTT packet; `None` at the end.
+fn packet(stream: &mut impl Read) -> Option<(u8, Vec<u8>)> {
+    let mut byte = [0];
+    stream.read_exact(&mut byte).ok()?;
+    let kind = byte[0];
+    let mut length = 0;
+    for shift in [0, 7, 14, 21] {
+        stream.read_exact(&mut byte).ok()?;
+        length |= usize::from(byte[0] & 0x7f) << shift;
+        if byte[0] < 0x80 {
+            break;
+        }
+    }
+    let mut body = vec![0; length];
+    stream.read_exact(&mut body).ok()?;
+    Some((kind, body))
 }
 
 #[test]

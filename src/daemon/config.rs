@@ -3,6 +3,7 @@
 //! Owns keys, defaults and their checks. `boards/linux/verge.toml` documents every key; a
 //! test holds the two together.
 
+use crate::daemon::publish::TlsFiles;
 use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
 use crate::lane::MAX_NAME;
 use serde::Deserialize;
@@ -165,6 +166,14 @@ pub struct Mqtt {
     pub host: String,
     /// Its port.
     pub port: u16,
+    /// Whether the connection is secured by TLS.
+    pub tls: bool,
+    /// Certificates (PEM) that vouch for the broker, in place of the public ones.
+    pub ca_file: Option<PathBuf>,
+    /// The box's own certificate chain (PEM), where the broker asks for one.
+    pub certificate_file: Option<PathBuf>,
+    /// Its private key (PEM).
+    pub key_file: Option<PathBuf>,
     /// Topic under which this site's topics stand; `verge/<site>` where it is not given.
     pub root: Option<String>,
     /// Client id; made from the root topic where it is not given.
@@ -188,6 +197,10 @@ impl Default for Mqtt {
         Self {
             host: "127.0.0.1".into(),
             port: 1883,
+            tls: false,
+            ca_file: None,
+            certificate_file: None,
+            key_file: None,
             root: None,
             client_id: String::new(),
             format: super::publish::Format::Json,
@@ -239,6 +252,19 @@ impl Config {
         secret("mqtt.password_file", user.as_deref(), password_file.as_deref())
     }
 
+    /// The files that secure the connection to the broker, when it is to be secured.
+    ///
+    /// # Errors
+    /// [`ConfigError::Secret`] for a key that others can read.
+    pub fn mqtt_tls(&self) -> Result<Option<TlsFiles>, ConfigError> {
+        let Mqtt { tls, ca_file, certificate_file, key_file, .. } = &self.mqtt;
+        if let Some(key) = key_file.as_ref().filter(|_| *tls) {
+            private("mqtt.key_file", key)?;
+        }
+        let identity = certificate_file.clone().zip(key_file.clone());
+        Ok(tls.then(|| TlsFiles { ca: ca_file.clone(), identity }))
+    }
+
     /// Topic under which this site's topics stand.
     pub fn root_topic(&self) -> String {
         self.mqtt.root.clone().unwrap_or_else(|| format!("verge/{}", self.site))
@@ -268,7 +294,14 @@ impl Config {
         let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);
         self.spool.folder = state.join(&self.spool.folder);
         self.camera.password_file.as_mut().map(absolute);
-        self.mqtt.password_file.as_mut().map(absolute);
+        for file in [
+            &mut self.mqtt.password_file,
+            &mut self.mqtt.ca_file,
+            &mut self.mqtt.certificate_file,
+            &mut self.mqtt.key_file,
+        ] {
+            file.as_mut().map(absolute);
+        }
         if !self.camera.is_snapshot() {
             self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
         }
@@ -319,6 +352,17 @@ impl Config {
             "mqtt.keep_alive_s",
             format!("{} s: give at least 5", self.mqtt.keep_alive_s),
         )?;
+        let Mqtt { tls, ca_file, certificate_file, key_file, .. } = &self.mqtt;
+        known(
+            *tls || (ca_file.is_none() && certificate_file.is_none() && key_file.is_none()),
+            "mqtt.tls",
+            "certificates are named, but the connection is not secured: tls = true".into(),
+        )?;
+        known(
+            certificate_file.is_some() == key_file.is_some(),
+            "mqtt.certificate_file",
+            "a certificate and its key (key_file) go together".into(),
+        )?;
         known(
             (0.1..=1000.0).contains(&self.mqtt.replay_per_s),
             "mqtt.replay_per_s",
@@ -347,6 +391,13 @@ fn secret(
 ) -> Result<Option<(String, String)>, ConfigError> {
     let Some(user) = user else { return Ok(None) };
     let Some(path) = file else { return Ok(Some((user.to_owned(), String::new()))) };
+    let text = private(key, path)?;
+    let password = text.lines().next().unwrap_or_default();
+    Ok(Some((user.to_owned(), password.to_owned())))
+}
+
+/// The text of a file that nobody else may read.
+fn private(key: &'static str, path: &Path) -> Result<String, ConfigError> {
     let wrong = |reason: String| ConfigError::Secret { key, path: path.to_owned(), reason };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     #[cfg(unix)]
@@ -357,8 +408,7 @@ fn secret(
             return Err(wrong(format!("mode {:03o} lets others read it: chmod 600", mode & 0o777)));
         }
     }
-    let password = text.lines().next().unwrap_or_default();
-    Ok(Some((user.to_owned(), password.to_owned())))
+    Ok(text)
 }
 
 #[cfg(test)]
@@ -391,6 +441,8 @@ mod tests {
             config.mqtt.root = None;
             (config.camera.user, config.camera.password_file) = (None, None);
             (config.mqtt.user, config.mqtt.password_file) = (None, None);
+            (config.mqtt.tls, config.mqtt.ca_file) = (false, None);
+            (config.mqtt.certificate_file, config.mqtt.key_file) = (None, None);
             config.model.score = None;
             format!("{config:?}")
         };
@@ -407,6 +459,7 @@ mod tests {
             ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
             ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
             ("#format = \"json\"", "format = \"xml\"", "xml"),
+            ("#ca_file =", "ca_file =", "mqtt.tls"),
             ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
             ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
             ("#days = 7.0", "days = 90", "spool.days"),

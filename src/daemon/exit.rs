@@ -7,6 +7,7 @@ use super::capture::{CaptureError, RecordingError, SnapshotError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
 use super::locate::LocateError;
+use super::publish::TlsError;
 use super::spool::SpoolError;
 use crate::density::AggregateError;
 use std::path::PathBuf;
@@ -49,6 +50,9 @@ pub enum Failure {
     /// The lane table.
     #[error(transparent)]
     Locate(#[from] LocateError),
+    /// The certificates.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// The spool.
     #[error(transparent)]
     Spool(#[from] SpoolError),
@@ -123,11 +127,11 @@ impl Failure {
             Self::Capture(CaptureError::Decode { .. }) | Self::NothingMeasured { .. } => DATAERR,
             Self::Capture(CaptureError::Snapshot(_)) | Self::Snapshot(_) => UNAVAILABLE,
             Self::Broker { .. } => UNAVAILABLE,
-            Self::Model(ModelError::Read { .. }) => NOINPUT,
+            Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,
             Self::Model(_) => DATAERR,
             Self::Locate(LocateError::Read { .. }) => NOINPUT,
-            Self::Locate(_) => DATAERR,
+            Self::Locate(_) | Self::Tls(_) => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
             Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,

@@ -34,7 +34,7 @@ use detect::Detector;
 use exit::Failure;
 use flow::{Detection, Frame};
 use locate::{Anchor, LocateError, Located, Locator};
-use publish::{Delivery, Format, Identity, MqttSettings, Publisher};
+use publish::{Delivery, Format, Identity, MqttSettings, Publisher, Tls};
 use spool::{Spool, SpoolCounts};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -367,6 +367,7 @@ fn broker(config: &Config) -> Result<MqttSettings, Failure> {
     Ok(MqttSettings {
         host: config.mqtt.host.clone(),
         port: config.mqtt.port,
+        tls: config.mqtt_tls()?.as_ref().map(Tls::load).transpose()?,
         client_id: config.mqtt.client_id.clone(),
         credentials: config.mqtt_secret()?,
         root: config.root_topic(),

@@ -32,8 +32,17 @@ impl Mosquitto {
 
     /// Starts it and waits until it listens.
     pub fn start(&self, port: u16) -> Running {
+        self.run(port, &["-p", &port.to_string()])
+    }
+
+    /// The same with a configuration of its own, which names the port.
+    pub fn start_with(&self, port: u16, config: &Path) -> Running {
+        self.run(port, &["-c", config.to_str().expect("UTF-8")])
+    }
+
+    fn run(&self, port: u16, arguments: &[&str]) -> Running {
         let child = Command::new(self.program)
-            .args(["-p", &port.to_string()])
+            .args(arguments)
             .stderr(Stdio::null())
             .spawn()
             .expect("mosquitto starts");

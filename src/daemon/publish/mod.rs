@@ -9,7 +9,7 @@ pub mod loopback;
 mod mqtt;
 pub mod payload;
 
-pub use mqtt::{MqttSettings, MqttVersion, probe};
+pub use mqtt::{MqttSettings, MqttVersion, Tls, TlsError, TlsFiles, probe};
 
 use crate::density::WindowReport;
 use crate::lane::{Description, Name};

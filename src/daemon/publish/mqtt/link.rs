@@ -53,6 +53,9 @@ impl Link {
                 options.set_keep_alive(settings.keep_alive);
                 options.set_clean_session(true);
                 options.set_inflight(QUEUE as u16);
+                if let Some(tls) = &settings.tls {
+                    options.set_transport(tls.transport());
+                }
                 if let Some(Message { topic, payload, retain }) = will {
                     options.set_last_will(LastWill::new(topic, payload, QoS::AtLeastOnce, retain));
                 }
@@ -67,6 +70,9 @@ impl Link {
                 options.set_keep_alive(settings.keep_alive);
                 options.set_clean_start(true);
                 options.set_outgoing_inflight_upper_limit(QUEUE as u16);
+                if let Some(tls) = &settings.tls {
+                    options.set_transport(tls.transport());
+                }
                 if let Some(Message { topic, payload, retain }) = will {
                     let qos = v5::mqttbytes::QoS::AtLeastOnce;
                     options.set_last_will(LastWill5::new(topic, payload, qos, retain, None));

@@ -6,7 +6,10 @@
 
 mod backoff;
 mod link;
+mod tls;
 mod worker;
+
+pub use tls::{Tls, TlsError, TlsFiles};
 
 use link::{Link, Signal};
 use serde::Deserialize;
@@ -39,6 +42,8 @@ pub struct MqttSettings {
     pub host: String,
     /// Port.
     pub port: u16,
+    /// How the connection is secured; `None`: not at all.
+    pub tls: Option<Tls>,
     /// Version of the protocol.
     pub version: MqttVersion,
     /// Client id; empty: made from the root topic.
@@ -59,6 +64,7 @@ impl MqttSettings {
         Self {
             host: "127.0.0.1".into(),
             port,
+            tls: None,
             version: MqttVersion::default(),
             client_id: String::new(),
             credentials: None,

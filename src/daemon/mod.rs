@@ -16,6 +16,7 @@ mod commands;
 pub mod config;
 pub mod detect;
 pub mod exit;
+pub mod export;
 pub mod flow;
 pub mod locate;
 mod output;

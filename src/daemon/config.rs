@@ -69,6 +69,12 @@ pub struct Config {
     /// Where messages go.
     #[serde(default)]
     pub mqtt: Mqtt,
+    /// Whether Home Assistant finds the sensor by itself.
+    #[serde(default)]
+    pub home_assistant: super::publish::home_assistant::Settings,
+    /// A text file for Prometheus.
+    #[serde(default)]
+    pub metrics: super::metrics::Settings,
 }
 
 /// Where pictures come from.
@@ -230,6 +236,7 @@ impl Config {
         absolute(&mut self.lane_table.file);
         self.camera.password_file.as_mut().map(absolute);
         self.mqtt.password_file.as_mut().map(absolute);
+        self.metrics.file.as_mut().map(absolute);
         if !self.camera.is_snapshot() {
             self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
         }
@@ -274,6 +281,17 @@ impl Config {
             self.model.score.is_none_or(|score| (0.0..=1.0).contains(&score)),
             "model.score",
             format!("{:?}: give 0 to 1", self.model.score),
+        )?;
+        let assistant = &self.home_assistant;
+        known(
+            plain(&assistant.prefix),
+            "home_assistant.prefix",
+            format!("{:?}: give a topic without + #", assistant.prefix),
+        )?;
+        known(
+            !assistant.discovery || self.mqtt.format == super::publish::Format::Json,
+            "home_assistant.discovery",
+            "Home Assistant reads json: take mqtt.format = \"json\" or turn it off".to_owned(),
         )?;
         known(
             self.mqtt.keep_alive_s >= 5,
@@ -343,6 +361,7 @@ mod tests {
             (config.camera.user, config.camera.password_file) = (None, None);
             (config.mqtt.user, config.mqtt.password_file) = (None, None);
             config.model.score = None;
+            config.metrics.file = None;
             format!("{config:?}")
         };
         assert_eq!(comparable(full), comparable(short));
@@ -358,6 +377,7 @@ mod tests {
             ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
             ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
             ("#format = \"json\"", "format = \"xml\"", "xml"),
+            ("#prefix = \"homeassistant\"", "prefix = \"a/#\"", "home_assistant.prefix"),
         ] {
             let bad = EXAMPLE.replacen(from, to, 1);
             assert_ne!(bad, EXAMPLE, "{from}");

@@ -19,6 +19,7 @@ pub mod exit;
 pub mod export;
 pub mod flow;
 pub mod locate;
+pub mod metrics;
 mod output;
 mod playback;
 pub mod publish;

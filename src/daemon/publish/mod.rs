@@ -3,6 +3,7 @@
 //! Owns topics, formats and numbering. The door of the crate `rumqttc` is `mqtt`; what
 //! the messages look like in JSON stands in [`payload`].
 
+pub mod home_assistant;
 #[cfg(feature = "demo")]
 pub mod loopback;
 mod mqtt;
@@ -139,6 +140,12 @@ impl Publisher {
     /// Raises or clears an alarm, kept by the broker.
     pub fn alarm(&self, name: &str, alarm: &payload::Alarm<'_>) {
         self.send(&format!("alarm/{name}"), payload::alarm(alarm), true);
+    }
+
+    /// Says to Home Assistant what there is to read; kept by the broker.
+    pub fn announce(&self, announcement: home_assistant::Announcement) {
+        let home_assistant::Announcement { topic, payload } = announcement;
+        self.connection.send(Message { topic, payload, retain: true });
     }
 
     /// What has become of the messages so far.

@@ -69,6 +69,8 @@ pub struct Statistics {
     pub waiting: AtomicU64,
     /// Dropped from a full outbox.
     pub dropped: AtomicU64,
+    /// Connections so far.
+    pub connections: AtomicU64,
     /// Whether a broker is there.
     pub connected: AtomicBool,
 }
@@ -224,6 +226,7 @@ impl Worker {
                 Ok(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
                     state = Session::Open;
                     self.statistics.connected.store(true, Ordering::Relaxed);
+                    self.statistics.connections.fetch_add(1, Ordering::Relaxed);
                     log::info!("connected to {}:{}", self.settings.host, self.settings.port);
                     self.present(&client, "online");
                 }

@@ -304,7 +304,10 @@ mod xml {
             .collect();
         let mut found =
             Element { name: name.to_owned(), text: String::new(), children: vec![], attributes };
-        while !empty {
+        if empty {
+            return found;
+        }
+        loop {
             let (text, behind) = rest.split_once('<').expect("an end tag");
             assert!(!text.contains('>'), "{text}");
             found.text += text.trim();
@@ -312,11 +315,10 @@ mod xml {
                 let (end, behind) = behind.split_once('>').expect("the end of a tag");
                 assert_eq!(end, found.name, "elements are nested");
                 *rest = behind;
-                break;
+                return found;
             }
             *rest = &rest[text.len()..];
             found.children.push(element(rest));
         }
-        found
     }
 }

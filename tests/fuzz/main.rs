@@ -6,7 +6,7 @@
 //! with a target's name behind `fuzz` for that one alone. What has been run stands in
 //! `docs/fuzzing.md`.
 //!
-//! Targets: `pictures`, `http_answers` (camera), `configurations`, `lane_tables` (files),
+//! Targets: `pictures`, `large_pictures`, `http_answers` (camera), `configurations`, `lane_tables` (files),
 //! `wire_messages`, `json_messages` (messages read back). The recovery of the spool, the
 //! last file that the daemon reads, has its place beside them as `spool_recovery`.
 
@@ -26,16 +26,36 @@ use verge::daemon::config::Config;
 use verge::daemon::export::{Exporter, MessageForm, Place, Target as Format, read};
 use verge::daemon::flow::Picture;
 use verge::daemon::publish::{Identity, payload};
-use verge::density::{Aggregator, FrameCounts, SampleZoneStatus, Start};
+use verge::density::{Aggregator, FrameCounts, LaneReport, SampleZoneStatus, Start};
 use verge::lane::{self, Description, Lane, LaneTable, Name};
 use verge::units::{Direction, ImagePoint, ImageSize, LaneId, UtcMs, VehicleClass};
 use verge::wire::{self, DensityMessage, ModelRef};
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Outcome of something that worked or said why not.
-fn outcome<T>(result: Result<T, impl std::fmt::Display>) -> String {
-    result.err().map_or_else(|| "right".to_owned(), |error| error.to_string())
+/// Outcome of something that worked, in a way that `kind` tells from others, or said why
+/// not.
+fn outcome<T>(result: Result<T, impl std::fmt::Display>, kind: impl FnOnce(T) -> String) -> String {
+    result.map_or_else(|error| error.to_string(), |value| format!("right {}", kind(value)))
+}
+
+/// A number as letters: its magnitude, for outcomes.
+fn magnitude(number: usize) -> String {
+    "i".repeat(number.checked_ilog2().map_or(0, |log| log as usize + 1))
+}
+
+/// A message's outcome: its lanes, and what is known of them.
+fn message_kind(message: &DensityMessage) -> String {
+    let known = |lane: &LaneReport| {
+        let is_known = [
+            lane.density_veh_km.is_some(),
+            lane.by_class.is_some(),
+            lane.space_occupancy.is_some(),
+            lane.status == SampleZoneStatus::Ok,
+        ];
+        is_known.map(|known| if known { 'k' } else { '-' }).iter().collect::<String>()
+    };
+    message.report.lanes.iter().map(known).collect::<Vec<_>>().join("/")
 }
 
 /// Makes the last four bytes the checksum of those before, nine times in ten: a reader
@@ -109,8 +129,33 @@ fn pictures() {
             assert_eq!(picture.rgb.len(), picture.width * picture.height * 3);
         }
         // Its buffer is not an input's own memory.
-        picture = Picture::default();
-        outcome(result)
+        let picture = std::mem::take(&mut picture);
+        outcome(result, |()| magnitude(picture.rgb.len()))
+    });
+}
+
+/// Pictures that claim the largest size there may be: what one costs at most.
+#[test]
+fn large_pictures() {
+    let claims_4k = |mut jpeg: Vec<u8>| {
+        let frame =
+            jpeg.windows(2).position(|pair| pair[0] == 0xff && (0xc0..=0xc2).contains(&pair[1]));
+        let size = frame.expect("a start of frame") + 5;
+        jpeg[size..size + 4].copy_from_slice(&[0x08, 0x70, 0x0f, 0x00]);
+        jpeg
+    };
+    let progressive = fs::read("tests/data/fuzz/progressive.jpg").expect("it ships");
+    let target = Target {
+        name: "large_pictures",
+        executions: 12,
+        corpus: vec![claims_4k(progressive), claims_4k(common::jpeg(33, 17, 200))],
+        tokens: &[b"\xff\xda", b"\xff\xd9"],
+        longest: 1 << 16,
+    };
+    target.run(|_, input| {
+        input.extend_from_slice(b"\xff\xd9");
+        let mut picture = Picture::default();
+        outcome(decode(input, &mut picture), |()| magnitude(picture.rgb.len()))
     });
 }
 
@@ -205,7 +250,11 @@ fn configurations() {
             assert!(!config.root_topic().is_empty());
         }
         // What is wrong stands in the last line, behind a quotation of the file.
-        outcome(result).lines().last().unwrap_or_default().to_owned()
+        outcome(result, |config| format!("{:?}", config.mqtt.format))
+            .lines()
+            .last()
+            .unwrap_or_default()
+            .to_owned()
     });
 }
 
@@ -264,7 +313,11 @@ fn lane_tables() {
                 }
             }
         }
-        outcome(result)
+        outcome(result, |table| {
+            let description = table.description();
+            let lanes = "/".repeat(description.lanes.len());
+            lanes + &magnitude(description.cell_count())
+        })
     });
 }
 
@@ -324,7 +377,7 @@ fn wire_messages() {
             let _ = payload::density(message);
             export(message);
         }
-        outcome(result)
+        outcome(result, |message| message_kind(&message))
     });
 }
 
@@ -365,7 +418,7 @@ fn json_messages() {
             let again = read(MessageForm::Json, &payload::density(message));
             again.expect("what was written can be read");
         }
-        outcome(result)
+        outcome(result, |message| message_kind(&message))
     });
 }
 

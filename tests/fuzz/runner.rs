@@ -1,7 +1,7 @@
 //! One fuzz run: inputs, limits on time and memory, and what is kept of a failure.
 //!
 //! An input whose outcome (the error's words without numbers and quotations) was not seen
-//! before joins the corpus, so that later inputs start from it.
+//! before joins the corpus; half of the later inputs start from such ones.
 
 use super::mutate::mutated;
 use fastrand::Rng;
@@ -45,10 +45,13 @@ impl Target<'_> {
         let seed = number("VERGE_FUZZ_SEED").unwrap_or(SEED);
         let mut rng = Rng::with_seed(seed);
         let mut outcomes = HashSet::new();
+        let first = self.corpus.len();
         let (mut slowest, mut largest) = (Duration::ZERO, 0);
         let begun = Instant::now();
         for execution in 0..executions {
-            let mut input = mutated(&mut rng, &self.corpus, self.tokens, self.longest);
+            let known = if rng.bool() { first } else { self.corpus.len() };
+            let corpus = &self.corpus[..known];
+            let mut input = mutated(&mut rng, corpus, self.tokens, self.longest);
             let (time, memory) = (cpu_time(), begin_peak());
             let outcome = catch_unwind(AssertUnwindSafe(|| execute(&mut rng, &mut input)));
             let (time, memory) = (cpu_time() - time, end_peak(memory));
@@ -86,10 +89,12 @@ impl Target<'_> {
     }
 }
 
-/// A message without what differs from input to input.
+/// A message without what differs from input to input: quotations, what stands in braces,
+/// and words with digits.
 fn words(outcome: &str) -> String {
     let unquoted = outcome.split(['`', '"', '\'']).step_by(2);
-    let words = unquoted.flat_map(str::split_whitespace);
+    let plain: String = unquoted.flat_map(|part| part.split(['{', '}']).step_by(2)).collect();
+    let words = plain.split_whitespace();
     words.filter(|word| !word.contains(|c: char| c.is_ascii_digit())).collect()
 }
 

@@ -32,6 +32,8 @@ enum Command {
     Replay(commands::replay::Args),
     /// Find vehicles in recorded frames, without a lane table
     Detect(commands::detect::Args),
+    /// Rewrite published messages for a traffic centre: FIWARE, DATEX II, NTCIP, CSV
+    Convert(commands::convert::Args),
     /// Time every stage; prints JSON
     Bench(commands::bench::Args),
     /// Play a recording through the whole line to an MQTT client, all in this process
@@ -68,6 +70,7 @@ where
         Command::Check { config } => commands::check::run(&config),
         Command::Replay(args) => commands::replay::run(&args),
         Command::Detect(args) => commands::detect::run(&args),
+        Command::Convert(args) => commands::convert::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         #[cfg(feature = "demo")]
         Command::Demo => commands::demo::run(),

@@ -73,6 +73,12 @@ pub struct Config {
     /// What is kept until it has arrived.
     #[serde(default)]
     pub spool: Spool,
+    /// Whether Home Assistant finds the sensor by itself.
+    #[serde(default)]
+    pub home_assistant: super::publish::home_assistant::Settings,
+    /// A text file for Prometheus.
+    #[serde(default)]
+    pub metrics: super::metrics::Settings,
 }
 
 /// Where pictures come from.
@@ -302,6 +308,7 @@ impl Config {
         ] {
             file.as_mut().map(absolute);
         }
+        self.metrics.file.as_mut().map(absolute);
         if !self.camera.is_snapshot() {
             self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
         }
@@ -346,6 +353,17 @@ impl Config {
             self.model.score.is_none_or(|score| (0.0..=1.0).contains(&score)),
             "model.score",
             format!("{:?}: give 0 to 1", self.model.score),
+        )?;
+        let assistant = &self.home_assistant;
+        known(
+            plain(&assistant.prefix),
+            "home_assistant.prefix",
+            format!("{:?}: give a topic without + #", assistant.prefix),
+        )?;
+        known(
+            !assistant.discovery || self.mqtt.format == super::publish::Format::Json,
+            "home_assistant.discovery",
+            "Home Assistant reads json: take mqtt.format = \"json\" or turn it off".to_owned(),
         )?;
         known(
             self.mqtt.keep_alive_s >= 5,
@@ -444,6 +462,7 @@ mod tests {
             (config.mqtt.tls, config.mqtt.ca_file) = (false, None);
             (config.mqtt.certificate_file, config.mqtt.key_file) = (None, None);
             config.model.score = None;
+            config.metrics.file = None;
             format!("{config:?}")
         };
         assert_eq!(comparable(full), comparable(short));
@@ -463,6 +482,7 @@ mod tests {
             ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
             ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
             ("#days = 7.0", "days = 90", "spool.days"),
+            ("#prefix = \"homeassistant\"", "prefix = \"a/#\"", "home_assistant.prefix"),
         ] {
             let bad = EXAMPLE.replacen(from, to, 1);
             assert_ne!(bad, EXAMPLE, "{from}");

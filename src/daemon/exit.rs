@@ -75,6 +75,22 @@ pub enum Failure {
         /// What the system says.
         source: std::io::Error,
     },
+    /// An input file that cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Messages that could not be converted.
+    #[error("{bad} of {lines} lines are no density message; the others are converted")]
+    Messages {
+        /// How many.
+        bad: usize,
+        /// Lines of the input.
+        lines: usize,
+    },
     /// The broker.
     #[error("broker {host}:{port}: {reason}; is it running, and are host and port right?")]
     Broker {
@@ -132,6 +148,8 @@ impl Failure {
             Self::Model(_) => DATAERR,
             Self::Locate(LocateError::Read { .. }) => NOINPUT,
             Self::Locate(_) | Self::Tls(_) => DATAERR,
+            Self::Input { .. } => NOINPUT,
+            Self::Messages { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
             Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,

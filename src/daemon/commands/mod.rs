@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod check;
+pub mod convert;
 #[cfg(feature = "demo")]
 pub mod demo;
 pub mod detect;

@@ -3,6 +3,8 @@
 use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
+use crate::daemon::metrics::Metrics;
+use crate::daemon::publish::home_assistant::{self, Announcement};
 use crate::daemon::publish::payload::{self, Frames, Messages, status_name};
 use crate::daemon::{Outlet, Station, open_outlet};
 use crate::density::{Closed, SampleZoneStatus};
@@ -89,10 +91,14 @@ struct Sensor {
     frames: Frames,
     last_fault: Option<String>,
     health_sent: Option<Instant>,
+    metrics: Option<Metrics>,
+    announcements: Vec<Announcement>,
+    announced: Option<u64>,
 }
 
 impl Sensor {
-    fn new(config: &Config, station: Station, outlet: Outlet) -> Self {
+    fn new(config: &Config, mut station: Station, outlet: Outlet) -> Self {
+        let announcements = announcements(config, &mut station);
         Self {
             site: config.site.clone(),
             station,
@@ -103,12 +109,19 @@ impl Sensor {
             frames: Frames::default(),
             last_fault: None,
             health_sent: None,
+            metrics: config.metrics.file.as_deref().map(Metrics::new),
+            announcements,
+            announced: None,
         }
     }
 
     /// One turn of the line: a picture, or the reason why there is none.
     fn turn(&mut self) -> Event {
+        let begun = Instant::now();
         let outcome = self.station.turn();
+        if let (Some(metrics), Ok(Some(_))) = (&mut self.metrics, &outcome) {
+            metrics.note_turn(begun.elapsed());
+        }
         let (event, status) = match outcome {
             Ok(Some(closed)) => {
                 self.last_fault = None;
@@ -162,6 +175,7 @@ impl Sensor {
         }
         let changed = self.actions.map(|before| before.status) != Some(actions.status);
         self.actions = Some(actions);
+        self.announce();
         if changed || self.health_sent.is_none_or(|sent| sent.elapsed() >= HEALTH_INTERVAL) {
             self.health_sent = Some(Instant::now());
             self.publish_health(actions);
@@ -172,6 +186,21 @@ impl Sensor {
     fn publish(&mut self, closed: &Closed) {
         for report in closed {
             self.outlet.density(report, clock::is_synchronised());
+            if let Some(metrics) = &mut self.metrics {
+                metrics.note(report);
+            }
+        }
+    }
+
+    /// Says to Home Assistant what there is, after each connection: the broker may have
+    /// lost what it kept.
+    fn announce(&mut self) {
+        let publisher = self.outlet.publisher();
+        let session = publisher.session();
+        if session.is_some() && session != std::mem::replace(&mut self.announced, session) {
+            for announcement in &self.announcements {
+                publisher.announce(announcement.clone());
+            }
         }
     }
 
@@ -188,11 +217,11 @@ impl Sensor {
             .alarm(name, &payload::Alarm { site: &self.site, time, name, active });
     }
 
-    fn publish_health(&self, actions: Actions) {
+    fn publish_health(&mut self, actions: Actions) {
         let now: UtcMs = clock::now();
         let (delivered, refused) = self.outlet.publisher().counts();
         let spool = self.outlet.counts();
-        self.outlet.publisher().health(&payload::Health {
+        let health = payload::Health {
             site: &self.site,
             time: clock::rfc3339(now),
             version: env!("CARGO_PKG_VERSION"),
@@ -210,6 +239,28 @@ impl Sensor {
                 damaged: spool.damaged,
             },
             last_fault: self.last_fault.as_deref(),
-        });
+        };
+        self.outlet.publisher().health(&health);
+        if let Some(metrics) = &mut self.metrics {
+            metrics.write(&health, self.outlet.is_open());
+        }
     }
+}
+
+/// The discovery messages that the configuration asks for.
+fn announcements(config: &Config, station: &mut Station) -> Vec<Announcement> {
+    let settings = &config.home_assistant;
+    if !settings.discovery {
+        return Vec::new();
+    }
+    let lengths: Vec<_> =
+        config.windows.lengths_s.iter().copied().map(Duration::from_secs).collect();
+    let lanes = &station.line.counting().table().lanes;
+    home_assistant::announcements(
+        &settings.prefix,
+        &config.site,
+        &config.root_topic(),
+        lanes,
+        &lengths,
+    )
 }

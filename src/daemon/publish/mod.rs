@@ -4,6 +4,7 @@
 //! spool's; the connection is `mqtt`'s; what the messages look like in JSON stands in
 //! [`payload`].
 
+pub mod home_assistant;
 #[cfg(feature = "demo")]
 pub mod loopback;
 mod mqtt;
@@ -213,6 +214,17 @@ impl Publisher {
     /// Raises or clears an alarm, kept by the broker.
     pub fn alarm(&self, name: &str, alarm: &payload::Alarm<'_>) {
         self.state(&format!("alarm/{name}"), payload::alarm(alarm));
+    }
+
+    /// Says to Home Assistant what there is to read; kept by the broker.
+    pub fn announce(&self, announcement: home_assistant::Announcement) {
+        let home_assistant::Announcement { topic, payload } = announcement;
+        self.connection.state(Message { topic, payload, retain: true });
+    }
+
+    /// The open session; each has a number of its own.
+    pub fn session(&self) -> Option<u64> {
+        self.session
     }
 
     /// Messages that the broker has taken, and refused, since start.

@@ -97,7 +97,7 @@ impl<'a> From<&'a LaneReport> for Lane<'a> {
 }
 
 /// Four decimals: finer than any of these quantities is known.
-fn round(value: f32) -> f32 {
+pub fn round(value: f32) -> f32 {
     (value * 1e4).round() / 1e4
 }
 

@@ -90,6 +90,28 @@ struct Entry {
     given: bool,
 }
 
+/// What a segment's bytes hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SegmentContents {
+    /// Good records of windows.
+    pub windows: usize,
+    /// Other good records.
+    pub notes: usize,
+    /// Stretches of damage between good records.
+    pub damaged: u64,
+    /// Whether the last record was not written to its end.
+    pub torn: bool,
+}
+
+/// Looks through a segment, whatever its bytes are.
+pub fn examine(segment: &[u8]) -> SegmentContents {
+    let scan = record::scan(segment);
+    let is_window = |(_, record): &&(usize, Record)| matches!(record, Record::Window { .. });
+    let windows = scan.records.iter().filter(is_window).count();
+    let notes = scan.records.len() - windows;
+    SegmentContents { windows, notes, damaged: scan.damaged, torn: scan.torn }
+}
+
 /// Windows on their way to the broker.
 #[derive(Debug)]
 pub struct Spool {

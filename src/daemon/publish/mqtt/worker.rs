@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 const TICK: Duration = Duration::from_millis(50);
 /// Longest wait for the last words of a connection to leave.
 const GOODBYE: Duration = Duration::from_secs(1);
-/// Most states that wait: presence, health and every alarm are a dozen topics.
-const MAX_STATES: usize = 64;
+/// Most states that wait: health and alarms are a dozen topics, discovery up to fifty.
+const MAX_STATES: usize = 128;
 
 /// What the handle asks for.
 pub(super) enum Command {

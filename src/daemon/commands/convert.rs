@@ -1,0 +1,155 @@
+//! `verge convert`: density messages in the formats of traffic centres.
+
+use crate::daemon::clock;
+use crate::daemon::exit::Failure;
+use crate::daemon::export::{Exporter, MessageForm, Place, Target, read};
+use crate::daemon::output::WholeFile;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+
+/// Longest line that is read, bytes: ten times the largest message in JSON.
+const MAX_LINE: usize = 64 << 10;
+
+/// Its arguments.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The format to write
+    #[arg(long, value_enum)]
+    to: Target,
+    /// How messages stand in the input, one a line
+    #[arg(long, value_enum, default_value_t)]
+    from: MessageForm,
+    /// The messages [default: standard input]
+    #[arg(value_name = "FILE")]
+    input: Option<PathBuf>,
+    /// Write here, whole or not at all [default: standard output, as messages come]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// FIWARE: the road segment of the site, an URN
+    #[arg(long, value_name = "URN")]
+    road_segment: Option<String>,
+    /// DATEX II: country of the publisher, two small letters
+    #[arg(long, value_name = "CC", value_parser = country)]
+    country: Option<String>,
+}
+
+fn country(text: &str) -> Result<String, String> {
+    if text.len() == 2 && text.bytes().all(|byte| byte.is_ascii_lowercase()) {
+        Ok(text.to_owned())
+    } else {
+        Err("give two small letters, such as de".into())
+    }
+}
+
+/// Converts every message that can be read. One that cannot is said with its line, the
+/// others are converted, and the program ends with 65.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let place = Place { road_segment: args.road_segment.clone(), country: args.country.clone() };
+    let exporter = Exporter::new(args.to, place);
+    let (name, mut input) = open(args.input.as_deref())?;
+    let mut output = Output::open(args.out.as_deref())?;
+    exporter.begin(clock::now()).map_or(Ok(()), |head| output.line(&head))?;
+    let (mut line, mut number, mut bad) = (Vec::new(), 0, 0);
+    loop {
+        number += 1;
+        let whole = next_line(&mut input, &mut line)
+            .map_err(|source| Failure::Input { path: name.clone(), source })?;
+        let message = match whole {
+            Line::End => break,
+            Line::Whole if line.trim_ascii().is_empty() => continue,
+            Line::Whole => read(args.from, &line).map_err(|error| error.to_string()),
+            Line::TooLong => Err(format!("a line of more than {MAX_LINE} bytes")),
+        };
+        match message {
+            Ok(message) => output.line(&exporter.message(&message))?,
+            Err(reason) => {
+                bad += 1;
+                eprintln!("verge: {}: line {number}: {reason}", name.display());
+            }
+        }
+    }
+    exporter.end().map_or(Ok(()), |tail| output.line(&tail))?;
+    output.finish()?;
+    if bad > 0 { Err(Failure::Messages { bad, lines: number - 1 }) } else { Ok(()) }
+}
+
+fn open(path: Option<&Path>) -> Result<(PathBuf, Box<dyn BufRead>), Failure> {
+    let Some(path) = path else {
+        return Ok(("standard input".into(), Box::new(io::stdin().lock())));
+    };
+    let file =
+        File::open(path).map_err(|source| Failure::Input { path: path.to_owned(), source })?;
+    Ok((path.to_owned(), Box::new(BufReader::new(file))))
+}
+
+enum Line {
+    Whole,
+    TooLong,
+    End,
+}
+
+/// Reads the next line into `line`; one that is too long is read over.
+fn next_line(input: &mut dyn BufRead, line: &mut Vec<u8>) -> io::Result<Line> {
+    line.clear();
+    if input.take(MAX_LINE as u64 + 1).read_until(b'\n', line)? == 0 {
+        return Ok(Line::End);
+    }
+    if line.len() <= MAX_LINE || line.ends_with(b"\n") {
+        return Ok(Line::Whole);
+    }
+    input.skip_until(b'\n')?;
+    Ok(Line::TooLong)
+}
+
+enum Output {
+    Stream(io::Stdout),
+    File(WholeFile),
+}
+
+impl Output {
+    fn open(path: Option<&Path>) -> Result<Self, Failure> {
+        Ok(match path {
+            Some(path) => Self::File(WholeFile::create(path)?),
+            None => Self::Stream(io::stdout()),
+        })
+    }
+
+    /// Adds a line. A reader that has gone away (`| head`) ends the program in silence.
+    fn line(&mut self, text: &str) -> Result<(), Failure> {
+        match self {
+            Self::File(file) => file.line(text),
+            Self::Stream(stream) => match writeln!(stream, "{text}") {
+                Err(error) if error.kind() == ErrorKind::BrokenPipe => std::process::exit(0),
+                written => written.map_err(|source| Failure::Write {
+                    path: Path::new("standard output").into(),
+                    source,
+                }),
+            },
+        }
+    }
+
+    fn finish(self) -> Result<(), Failure> {
+        match self {
+            Self::File(file) => file.finish(),
+            Self::Stream(_) => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_is_too_long_is_read_over() {
+        let long = "x".repeat(3 * MAX_LINE);
+        let mut input = io::Cursor::new(format!("a\n{long}\nb"));
+        let mut line = Vec::new();
+        assert!(matches!(next_line(&mut input, &mut line), Ok(Line::Whole)));
+        assert!(matches!(next_line(&mut input, &mut line), Ok(Line::TooLong)));
+        assert!(matches!(next_line(&mut input, &mut line), Ok(Line::Whole)));
+        assert_eq!(line, b"b");
+        assert!(matches!(next_line(&mut input, &mut line), Ok(Line::End)));
+    }
+}

@@ -1,0 +1,209 @@
+//! DATEX II v3 `MeasuredDataPublication` with `TrafficConcentration`, as XML.
+//!
+//! Owns names, order and units of the elements, from the v3.5 schema. A lane is one
+//! indexed physical quantity (index: the lane's number). `densityOfVehicles` is a whole
+//! number and required where `density` stands, so that a missing density is told by a
+//! `physicalQuantityFault` without values, never by 0.
+
+use super::window_s;
+use crate::daemon::clock::rfc3339;
+use crate::daemon::publish::payload::status_name;
+use crate::density::{LaneReport, SampleZoneStatus};
+use crate::units::UtcMs;
+use crate::wire::DensityMessage;
+use std::fmt::Write;
+
+/// Closes what [`begin`] opens.
+pub const END: &str = "</d2:payload>";
+
+/// The publication's head, made at `time`, by a publisher in `country` (two small letters;
+/// the standard's `other` where it is not told).
+pub fn begin(time: UtcMs, country: Option<&str>) -> String {
+    format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>
+<d2:payload xmlns:d2=\"http://datex2.eu/schema/3/d2Payload\" \
+xmlns:roa=\"http://datex2.eu/schema/3/roadTrafficData\" \
+xmlns:com=\"http://datex2.eu/schema/3/common\" \
+xmlns:xsi=\"http://www.w3.org/2001/XMLSchema-instance\" \
+xsi:type=\"roa:MeasuredDataPublication\" lang=\"en\" modelBaseVersion=\"3\">
+  <com:publicationTime>{}</com:publicationTime>
+  <com:publicationCreator>
+    <com:country>{}</com:country>
+    <com:nationalIdentifier>verge</com:nationalIdentifier>
+  </com:publicationCreator>
+  <roa:measurementSiteTableReference targetClass=\"roa:MeasurementSiteTable\" id=\"verge\" \
+version=\"1\"/>
+  <roa:headerInformation>
+    <com:informationStatus>real</com:informationStatus>
+  </roa:headerInformation>",
+        rfc3339(time),
+        escaped(country.unwrap_or("other")),
+    )
+}
+
+/// One message: the measurements of its site in its window.
+pub fn site_measurements(message: &DensityMessage) -> String {
+    let mut xml = format!(
+        "  <roa:siteMeasurements>
+    <roa:measurementSiteReference targetClass=\"roa:MeasurementSite\" id=\"{}\" version=\"1\"/>",
+        escaped(&message.site)
+    );
+    for lane in &message.report.lanes {
+        // A string takes what is written to it.
+        let _ = write!(
+            xml,
+            "
+    <roa:physicalQuantity index=\"{}\">
+      <roa:physicalQuantity xsi:type=\"roa:SinglePhysicalQuantity\">
+{}
+      </roa:physicalQuantity>
+    </roa:physicalQuantity>",
+            lane.lane.get(),
+            concentration(lane).unwrap_or_else(|| fault(lane, message.report.to)),
+        );
+    }
+    let (from, to) = (rfc3339(message.report.from), rfc3339(message.report.to));
+    let _ = write!(
+        xml,
+        "
+    <roa:measurementTimeDefault>
+      <roa:timeMeaning>endTime</roa:timeMeaning>
+      <roa:timeValue>{to}</roa:timeValue>
+      <roa:period>
+        <com:startOfPeriod>{from}</com:startOfPeriod>
+        <com:endOfPeriod>{to}</com:endOfPeriod>
+        <com:periodName>
+          <com:values><com:value lang=\"en\">{} s</com:value></com:values>
+        </com:periodName>
+      </roa:period>
+    </roa:measurementTimeDefault>
+  </roa:siteMeasurements>",
+        window_s(message),
+    );
+    xml
+}
+
+/// The values of a lane, or `None` where its density is missing.
+fn concentration(lane: &LaneReport) -> Option<String> {
+    let density = lane.density_veh_km?;
+    let deviation = lane
+        .density_se
+        .map_or_else(String::new, |error| format!(" standardDeviation=\"{error:.2}\""));
+    let expected = lane.frames_expected.max(1);
+    let quality = 100.0 * (lane.frames_used as f32 / expected as f32).min(1.0);
+    let occupancy = lane.space_occupancy.map_or_else(String::new, |share| {
+        format!(
+            "
+          <roa:occupancy>
+            <com:percentage>{:.1}</com:percentage>
+          </roa:occupancy>",
+            share * 100.0
+        )
+    });
+    Some(format!(
+        "        <roa:basicData xsi:type=\"roa:TrafficConcentration\">
+          <roa:density numberOfInputValuesUsed=\"{}\"{deviation} \
+supplierCalculatedDataQuality=\"{quality:.1}\">
+            <roa:densityOfVehicles>{}</roa:densityOfVehicles>
+          </roa:density>{occupancy}
+        </roa:basicData>",
+        lane.frames_used,
+        // `as` saturates.
+        density.round() as u32,
+    ))
+}
+
+/// Why a lane has no values.
+fn fault(lane: &LaneReport, time: UtcMs) -> String {
+    let kind = match lane.status {
+        SampleZoneStatus::SensorFailure => "noDataValuesAvailable",
+        SampleZoneStatus::Ok
+        | SampleZoneStatus::InputDataIntegrity
+        | SampleZoneStatus::PoorContrast
+        | SampleZoneStatus::DetectionAutoSuspended => "spuriousUnreliableDataValues",
+    };
+    format!(
+        "        <roa:physicalQuantityFault>
+          <com:faultDescription>
+            <com:values><com:value lang=\"en\">{}</com:value></com:values>
+          </com:faultDescription>
+          <com:faultLastUpdateTime>{}</com:faultLastUpdateTime>
+          <roa:physicalQuantityFaultType>{kind}</roa:physicalQuantityFaultType>
+        </roa:physicalQuantityFault>",
+        status_name(lane.status),
+        rfc3339(time),
+    )
+}
+
+/// Text for content and attributes; what XML 1.0 cannot hold becomes U+FFFD.
+fn escaped(text: &str) -> String {
+    let mut xml = String::new();
+    for character in text.chars() {
+        match character {
+            '&' => xml.push_str("&amp;"),
+            '<' => xml.push_str("&lt;"),
+            '>' => xml.push_str("&gt;"),
+            '"' => xml.push_str("&quot;"),
+            '\t' | '\n' | '\r' => xml.push(' '),
+            '\0'..='\u{1f}' | '\u{fffe}' | '\u{ffff}' => xml.push('\u{fffd}'),
+            _ => xml.push(character),
+        }
+    }
+    xml
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::export::tests::message;
+
+    #[test]
+    fn golden_site_measurements() {
+        let expected = "  <roa:siteMeasurements>
+    <roa:measurementSiteReference targetClass=\"roa:MeasurementSite\" \
+id=\"k109f &quot;&lt;&amp;&gt;&quot;, east\" version=\"1\"/>
+    <roa:physicalQuantity index=\"1\">
+      <roa:physicalQuantity xsi:type=\"roa:SinglePhysicalQuantity\">
+        <roa:basicData xsi:type=\"roa:TrafficConcentration\">
+          <roa:density numberOfInputValuesUsed=\"57\" standardDeviation=\"3.50\" \
+supplierCalculatedDataQuality=\"95.0\">
+            <roa:densityOfVehicles>24</roa:densityOfVehicles>
+          </roa:density>
+          <roa:occupancy>
+            <com:percentage>12.3</com:percentage>
+          </roa:occupancy>
+        </roa:basicData>
+      </roa:physicalQuantity>
+    </roa:physicalQuantity>
+    <roa:physicalQuantity index=\"2\">
+      <roa:physicalQuantity xsi:type=\"roa:SinglePhysicalQuantity\">
+        <roa:physicalQuantityFault>
+          <com:faultDescription>
+            <com:values><com:value lang=\"en\">poorContrast</com:value></com:values>
+          </com:faultDescription>
+          <com:faultLastUpdateTime>2026-01-05T08:01:00.000Z</com:faultLastUpdateTime>
+          <roa:physicalQuantityFaultType>spuriousUnreliableDataValues\
+</roa:physicalQuantityFaultType>
+        </roa:physicalQuantityFault>
+      </roa:physicalQuantity>
+    </roa:physicalQuantity>
+    <roa:measurementTimeDefault>
+      <roa:timeMeaning>endTime</roa:timeMeaning>
+      <roa:timeValue>2026-01-05T08:01:00.000Z</roa:timeValue>
+      <roa:period>
+        <com:startOfPeriod>2026-01-05T08:00:00.000Z</com:startOfPeriod>
+        <com:endOfPeriod>2026-01-05T08:01:00.000Z</com:endOfPeriod>
+        <com:periodName>
+          <com:values><com:value lang=\"en\">60 s</com:value></com:values>
+        </com:periodName>
+      </roa:period>
+    </roa:measurementTimeDefault>
+  </roa:siteMeasurements>";
+        assert_eq!(site_measurements(&message()), expected);
+    }
+
+    #[test]
+    fn text_that_xml_cannot_hold_is_replaced() {
+        assert_eq!(escaped("a\u{1}<\n\"&"), "a\u{fffd}&lt; &quot;&amp;");
+    }
+}

@@ -1,0 +1,178 @@
+//! FIWARE `TrafficFlowObserved` (smart data model of Transportation), NGSI-LD key values.
+//!
+//! The model has no density: `density` with `densityUnit` and `densityStandardError` are
+//! added, as NGSI allows. What is not known is left out, never 0.
+
+use super::window_s;
+use crate::daemon::clock::rfc3339;
+use crate::daemon::publish::payload::{round, status_name};
+use crate::density::LaneReport;
+use crate::units::Direction;
+use crate::wire::DensityMessage;
+use serde::Serialize;
+use std::fmt::Write;
+
+/// Unit of the added property.
+const DENSITY_UNIT: &str = "veh/km/lane";
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct TrafficFlowObserved<'a> {
+    id: String,
+    r#type: &'static str,
+    name: String,
+    date_observed: String,
+    date_observed_from: String,
+    date_observed_to: String,
+    lane_id: u8,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lane_direction: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ref_road_segment: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    occupancy: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    density: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    density_unit: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    density_standard_error: Option<f32>,
+    frames_used: u32,
+    frames_expected: u32,
+    sample_zone_status: &'static str,
+}
+
+/// The entities of one message, one a lane, as a JSON array for a batch upsert.
+pub fn entities(message: &DensityMessage, road_segment: Option<&str>) -> String {
+    let lanes: Vec<_> =
+        message.report.lanes.iter().map(|lane| entity(message, lane, road_segment)).collect();
+    serde_json::to_string(&lanes).expect("these types have string keys and no failing parts")
+}
+
+fn entity<'a>(
+    message: &DensityMessage,
+    lane: &LaneReport,
+    ref_road_segment: Option<&'a str>,
+) -> TrafficFlowObserved<'a> {
+    let (from, to) = (rfc3339(message.report.from), rfc3339(message.report.to));
+    let (site, window_s, number) = (&message.site, window_s(message), lane.lane.get());
+    TrafficFlowObserved {
+        id: format!("urn:ngsi-ld:TrafficFlowObserved:{}:{window_s}s:lane{number}", escaped(site)),
+        r#type: "TrafficFlowObserved",
+        name: plain(site),
+        date_observed: format!("{from}/{to}"),
+        date_observed_from: from,
+        date_observed_to: to,
+        lane_id: number,
+        lane_direction: match lane.direction {
+            Direction::Away => Some("forward"),
+            Direction::Toward => Some("backward"),
+            Direction::Unknown => None,
+        },
+        ref_road_segment,
+        occupancy: lane.space_occupancy.map(round),
+        density: lane.density_veh_km.map(round),
+        density_unit: lane.density_veh_km.map(|_| DENSITY_UNIT),
+        density_standard_error: lane.density_se.map(round),
+        frames_used: lane.frames_used,
+        frames_expected: lane.frames_expected,
+        sample_zone_status: status_name(lane.status),
+    }
+}
+
+/// A site's name inside an URN (RFC 8141): all but the unreserved characters in percent
+/// form.
+fn escaped(site: &str) -> String {
+    let mut text = String::new();
+    for byte in site.bytes() {
+        if byte.is_ascii_alphanumeric() || b"-._~".contains(&byte) {
+            text.push(char::from(byte));
+        } else {
+            // A string takes what is written to it.
+            let _ = write!(text, "%{byte:02X}");
+        }
+    }
+    text
+}
+
+/// Text without the characters that NGSI-v2 forbids in values.
+fn plain(text: &str) -> String {
+    text.replace(['<', '>', '"', '\'', '=', ';', '(', ')'], " ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::export::tests::message;
+    use serde_json::{Value, json};
+
+    #[test]
+    fn golden_entities() {
+        let text = entities(&message(), Some("urn:ngsi-ld:RoadSegment:7"));
+        let id = "urn:ngsi-ld:TrafficFlowObserved:k109f%20%22%3C%26%3E%22%2C%20east:60s:lane";
+        let expected = json!([
+            {
+                "id": format!("{id}1"),
+                "type": "TrafficFlowObserved",
+                "name": "k109f   &  , east",
+                "dateObserved": "2026-01-05T08:00:00.000Z/2026-01-05T08:01:00.000Z",
+                "dateObservedFrom": "2026-01-05T08:00:00.000Z",
+                "dateObservedTo": "2026-01-05T08:01:00.000Z",
+                "laneId": 1,
+                "laneDirection": "forward",
+                "refRoadSegment": "urn:ngsi-ld:RoadSegment:7",
+                "occupancy": 0.1234,
+                "density": 24.25,
+                "densityUnit": "veh/km/lane",
+                "densityStandardError": 3.5,
+                "framesUsed": 57,
+                "framesExpected": 60,
+                "sampleZoneStatus": "oK",
+            },
+            {
+                "id": format!("{id}2"),
+                "type": "TrafficFlowObserved",
+                "name": "k109f   &  , east",
+                "dateObserved": "2026-01-05T08:00:00.000Z/2026-01-05T08:01:00.000Z",
+                "dateObservedFrom": "2026-01-05T08:00:00.000Z",
+                "dateObservedTo": "2026-01-05T08:01:00.000Z",
+                "laneId": 2,
+                "refRoadSegment": "urn:ngsi-ld:RoadSegment:7",
+                "framesUsed": 3,
+                "framesExpected": 60,
+                "sampleZoneStatus": "poorContrast",
+            },
+        ]);
+        let found: Value = serde_json::from_str(&text).expect("JSON");
+        assert_eq!(found.to_string(), expected.to_string());
+    }
+
+    /// Attributes of the model that are used, with what its schema says of each.
+    #[test]
+    fn used_attributes_are_as_the_model_has_them() {
+        let schema = json!({
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["id", "type", "dateObserved"],
+                "properties": {
+                    "id": { "type": "string", "maxLength": 256,
+                            "pattern": "^[\\w\\-\\.\\{\\}\\$\\+\\*\\[\\]`|~^@!,:\\\\%]+$" },
+                    "type": { "enum": ["TrafficFlowObserved"] },
+                    "laneId": { "type": "integer", "minimum": 1 },
+                    "laneDirection": { "enum": ["forward", "backward"] },
+                    "refRoadSegment": { "type": "string" },
+                    "dateObserved": { "type": "string" },
+                    "dateObservedFrom": { "type": "string", "pattern": "^[-0-9]{10}T[:.0-9]{12}Z$" },
+                    "dateObservedTo": { "type": "string", "pattern": "^[-0-9]{10}T[:.0-9]{12}Z$" },
+                    "occupancy": { "type": "number", "minimum": 0, "maximum": 1 },
+                    "name": { "type": "string", "pattern": "^[^<>\"'=;()]*$" }
+                }
+            }
+        });
+        let validator = jsonschema::validator_for(&schema).expect("a right schema");
+        let found: Value = serde_json::from_str(&entities(&message(), None)).expect("JSON");
+        let errors: Vec<_> = validator.iter_errors(&found).map(|e| e.to_string()).collect();
+        assert!(errors.is_empty(), "{errors:#?}");
+    }
+}

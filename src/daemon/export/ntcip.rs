@@ -1,0 +1,98 @@
+//! The values of NTCIP 1209 (transportation sensor systems), as JSON.
+//!
+//! Owns the numbers of the standard, not its protocol: names and values are those of a row
+//! of `dataCollectionTable`, for an SNMP agent to serve. A lane is a sample zone. Density
+//! is no object of the standard and is added. What is not known is 65535.
+
+use super::window_s;
+use crate::daemon::clock::rfc3339;
+use crate::density::{LaneReport, SampleZoneStatus};
+use crate::wire::DensityMessage;
+use serde::Serialize;
+
+/// "No value": missing, or not measured by this sensor.
+pub const MISSING: u16 = 65535;
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Zone<'a> {
+    site: &'a str,
+    sample_zone: u8,
+    sample_end_time: String,
+    /// s
+    sample_period: u64,
+    /// Vehicles that passed in the period: a density sensor does not count them.
+    volume_data: u16,
+    /// Tenths of a percent.
+    percent_occupancy: u16,
+    /// Tenths of km/h: not measured.
+    speed_data: u16,
+    sample_zone_status: u8,
+    /// Whole veh/km, an addition.
+    density_veh_km: u16,
+}
+
+/// The number of a status in the standard.
+pub const fn status_number(status: SampleZoneStatus) -> u8 {
+    match status {
+        SampleZoneStatus::Ok => 2,
+        SampleZoneStatus::SensorFailure => 10,
+        SampleZoneStatus::InputDataIntegrity => 11,
+        SampleZoneStatus::PoorContrast => 12,
+        SampleZoneStatus::DetectionAutoSuspended => 13,
+    }
+}
+
+/// The zones of one message, one a line.
+pub fn zones(message: &DensityMessage) -> String {
+    let lanes: Vec<_> = message.report.lanes.iter().map(|lane| zone(message, lane)).collect();
+    lanes.join("\n")
+}
+
+fn zone(message: &DensityMessage, lane: &LaneReport) -> String {
+    let zone = Zone {
+        site: &message.site,
+        sample_zone: lane.lane.get(),
+        sample_end_time: rfc3339(message.report.to),
+        sample_period: window_s(message),
+        volume_data: MISSING,
+        percent_occupancy: number(lane.space_occupancy.map(|share| share * 1000.0)),
+        speed_data: MISSING,
+        sample_zone_status: status_number(lane.status),
+        density_veh_km: number(lane.density_veh_km),
+    };
+    serde_json::to_string(&zone).expect("these types have string keys and no failing parts")
+}
+
+/// A whole number below [`MISSING`].
+fn number(value: Option<f32>) -> u16 {
+    // `as` saturates.
+    value.map_or(MISSING, |value| (value.round() as u16).min(MISSING - 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::export::tests::message;
+
+    #[test]
+    fn golden_zones() {
+        let expected = "\
+            {\"site\":\"k109f \\\"<&>\\\", east\",\"sampleZone\":1,\
+            \"sampleEndTime\":\"2026-01-05T08:01:00.000Z\",\"samplePeriod\":60,\
+            \"volumeData\":65535,\"percentOccupancy\":123,\"speedData\":65535,\
+            \"sampleZoneStatus\":2,\"densityVehKm\":24}\n\
+            {\"site\":\"k109f \\\"<&>\\\", east\",\"sampleZone\":2,\
+            \"sampleEndTime\":\"2026-01-05T08:01:00.000Z\",\"samplePeriod\":60,\
+            \"volumeData\":65535,\"percentOccupancy\":65535,\"speedData\":65535,\
+            \"sampleZoneStatus\":12,\"densityVehKm\":65535}";
+        assert_eq!(zones(&message()), expected);
+    }
+
+    #[test]
+    fn no_value_looks_like_a_missing_one() {
+        assert_eq!(number(Some(1e9)), 65534);
+        assert_eq!(number(Some(0.0)), 0);
+        assert_eq!(number(None), 65535);
+    }
+}

@@ -1,0 +1,194 @@
+//! Home Assistant: the retained messages by which it finds the sensor (MQTT discovery).
+//!
+//! Owns their topics and payloads; off unless asked for. One `sensor` a lane, with the
+//! density of the shortest window, and one `binary_sensor` for the connection. Home
+//! Assistant reads the daemon's own topics; nothing else is published for it.
+
+use super::window_name;
+use crate::lane::Lane;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+/// What the configuration says of it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Settings {
+    /// Whether discovery messages are published.
+    pub discovery: bool,
+    /// First level of their topics, as Home Assistant is configured.
+    pub prefix: String,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { discovery: false, prefix: "homeassistant".into() }
+    }
+}
+
+/// Windows that may go by without a message until a density is unknown.
+const EXPIRE_WINDOWS: u64 = 3;
+
+/// One retained message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Announcement {
+    /// Its whole topic.
+    pub topic: String,
+    /// JSON.
+    pub payload: Vec<u8>,
+}
+
+/// The messages for a site whose topics stand under `root`, with these lanes and windows.
+pub fn announcements(
+    prefix: &str,
+    site: &str,
+    root: &str,
+    lanes: &[Lane],
+    windows: &[Duration],
+) -> Vec<Announcement> {
+    let id = format!("verge_{}", plain(site));
+    let presence = format!("{root}/presence");
+    let common = json!({
+        "device": {
+            "identifiers": [id],
+            "name": site,
+            "manufacturer": "verge",
+            "model": "traffic density sensor",
+            "sw_version": env!("CARGO_PKG_VERSION"),
+        },
+        "origin": { "name": "verge", "sw_version": env!("CARGO_PKG_VERSION") },
+        "qos": 1,
+    });
+    let announce = |component: &str, object: &str, own: Value| {
+        let mut payload = common.clone();
+        payload["unique_id"] = format!("{id}_{object}").into();
+        if let (Some(payload), Value::Object(own)) = (payload.as_object_mut(), own) {
+            payload.extend(own);
+        }
+        Announcement {
+            topic: format!("{prefix}/{component}/{id}/{object}/config"),
+            payload: payload.to_string().into_bytes(),
+        }
+    };
+    let connectivity = json!({
+        "name": "Connectivity",
+        "state_topic": presence,
+        "value_template": "{{ 'ON' if value == 'online' else 'OFF' }}",
+        "payload_on": "ON",
+        "payload_off": "OFF",
+        "device_class": "connectivity",
+        "entity_category": "diagnostic",
+    });
+    let mut messages = vec![announce("binary_sensor", "connectivity", connectivity)];
+    let Some(window) = windows.iter().min() else { return messages };
+    for lane in lanes {
+        let number = lane.id.get();
+        let of_lane = format!("value_json.lanes | selectattr('lane', 'eq', {number})");
+        let topic = format!("{root}/density/{}", window_name(*window));
+        let density = json!({
+            "name": format!("Lane {number} density"),
+            "state_topic": topic,
+            "value_template":
+                format!("{{{{ {of_lane} | map(attribute='density_veh_km') | first }}}}"),
+            "json_attributes_topic": topic,
+            "json_attributes_template": format!("{{{{ {of_lane} | first | tojson }}}}"),
+            "unit_of_measurement": "veh/km",
+            "state_class": "measurement",
+            "suggested_display_precision": 1,
+            "expire_after": window.as_secs() * EXPIRE_WINDOWS,
+            "icon": "mdi:car-multiple",
+            "availability": [{
+                "topic": presence,
+                "value_template": "{{ 'online' if value == 'online' else 'offline' }}",
+            }],
+        });
+        messages.push(announce("sensor", &format!("lane{number}_density"), density));
+    }
+    messages
+}
+
+/// A name as an id: Home Assistant takes letters, digits, `_` and `-` in topics.
+fn plain(name: &str) -> String {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    name.chars().map(|c| if allowed(c) { c } else { '_' }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::{Direction, LaneId};
+    use std::collections::BTreeSet;
+
+    fn made() -> Vec<Announcement> {
+        let lane = |number| Lane {
+            id: LaneId::new(number).expect("in range"),
+            direction: Direction::Away,
+            length_m: 100.0,
+        };
+        let windows = [900, 60].map(Duration::from_secs);
+        announcements("homeassistant", "k 109/f", "verge/k109f", &[lane(1), lane(2)], &windows)
+    }
+
+    #[test]
+    fn topics_are_those_of_discovery() {
+        let topics: Vec<_> = made().into_iter().map(|message| message.topic).collect();
+        let expected = [
+            "homeassistant/binary_sensor/verge_k_109_f/connectivity/config",
+            "homeassistant/sensor/verge_k_109_f/lane1_density/config",
+            "homeassistant/sensor/verge_k_109_f/lane2_density/config",
+        ];
+        assert_eq!(topics, expected);
+    }
+
+    /// Keys that the documentation of the MQTT `sensor` and `binary_sensor` has.
+    const DOCUMENTED: [&str; 19] = [
+        "availability",
+        "device",
+        "device_class",
+        "entity_category",
+        "expire_after",
+        "icon",
+        "json_attributes_template",
+        "json_attributes_topic",
+        "name",
+        "origin",
+        "payload_off",
+        "payload_on",
+        "qos",
+        "state_class",
+        "state_topic",
+        "suggested_display_precision",
+        "unique_id",
+        "unit_of_measurement",
+        "value_template",
+    ];
+
+    #[test]
+    fn keys_are_documented_and_ids_unique() {
+        let mut ids = BTreeSet::new();
+        for message in made() {
+            let payload: Value = serde_json::from_slice(&message.payload).expect("JSON");
+            for key in payload.as_object().expect("an object").keys() {
+                assert!(DOCUMENTED.contains(&key.as_str()), "{key}");
+            }
+            // Required, and required for a device to be made.
+            assert!(payload["state_topic"].is_string() && payload["origin"]["name"].is_string());
+            assert_eq!(payload["device"]["identifiers"][0], "verge_k_109_f");
+            assert!(ids.insert(payload["unique_id"].to_string()), "{payload:#}");
+        }
+    }
+
+    #[test]
+    fn a_lane_reads_its_density_from_the_shortest_window() {
+        let payload: Value = serde_json::from_slice(&made()[2].payload).expect("JSON");
+        assert_eq!(payload["state_topic"], "verge/k109f/density/60s");
+        assert_eq!(
+            payload["value_template"],
+            "{{ value_json.lanes | selectattr('lane', 'eq', 2) | \
+             map(attribute='density_veh_km') | first }}"
+        );
+        assert_eq!(payload["unit_of_measurement"], "veh/km");
+        assert_eq!(payload["expire_after"], 180);
+        assert_eq!(payload["unique_id"], "verge_k_109_f_lane2_density");
+    }
+}

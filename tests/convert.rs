@@ -1,0 +1,324 @@
+//! `verge convert`: real messages through the program, and the DATEX II output against the
+//! content models of the published v3.5 schema.
+
+mod common;
+
+use common::{folder, stderr, verge};
+use std::fs;
+use verge::daemon::publish::{Identity, payload};
+use verge::density::{Aggregator, FrameCounts, SampleZoneStatus, Start};
+use verge::lane::LaneTable;
+use verge::units::{LaneId, UtcMs, VehicleClass};
+use verge::wire::{self, DensityMessage, ModelRef};
+
+const MINUTE: std::time::Duration = std::time::Duration::from_secs(60);
+
+/// A minute with vehicles, and one without a picture.
+fn messages() -> Vec<DensityMessage> {
+    let bytes = fs::read(common::K109F_TABLE).expect("it ships");
+    let table = LaneTable::parse(bytes).expect("a right table");
+    let lanes = &table.description().lanes;
+    let mut line =
+        Aggregator::new(lanes, &[MINUTE], MINUTE / 3, 0.5, Start::AtNextWindow).expect("right");
+    let mut counts = FrameCounts::default();
+    counts.add(LaneId::new(2).expect("in range"), VehicleClass::Bus);
+    let mut closed = Vec::new();
+    for second in [0, 20, 40, 60] {
+        closed.extend(line.observe(UtcMs(1_767_600_000_000 + second * 1000), &counts));
+    }
+    closed.extend(line.miss(UtcMs(1_767_600_120_000), SampleZoneStatus::SensorFailure));
+    assert_eq!(closed.len(), 2);
+    let name = verge::lane::Name::try_from("test").expect("short");
+    let model = ModelRef { name, sha256: [7; 32] };
+    let identity = Identity::new("k109f", table.description(), &model);
+    (1..).zip(&closed).map(|(seq, report)| identity.message(report, true, seq)).collect()
+}
+
+fn json_lines() -> String {
+    let lines: Vec<_> = messages()
+        .iter()
+        .map(|message| String::from_utf8(payload::density(message, None)).expect("JSON"))
+        .collect();
+    lines.join("\n") + "\n"
+}
+
+/// Converts `input` and returns exit code, output and errors.
+fn convert(input: &str, args: &[&str]) -> (Option<i32>, String, String) {
+    let folder = folder();
+    let path = folder.path().join("messages");
+    fs::write(&path, input).expect("writing the messages");
+    let path = path.to_str().expect("UTF-8");
+    let output = verge(&[&["convert", path], args].concat());
+    let text = String::from_utf8(output.stdout.clone()).expect("UTF-8");
+    (output.status.code(), text, stderr(&output))
+}
+
+#[test]
+fn every_format_takes_the_daemons_messages() {
+    let input = json_lines();
+    let lanes: usize = messages().iter().map(|message| message.report.lanes.len()).sum();
+    for (format, lines) in [("json", 2), ("csv", lanes + 1), ("ntcip", lanes), ("fiware", 2)] {
+        let (code, output, errors) = convert(&input, &["--to", format]);
+        assert_eq!((code, errors.as_str()), (Some(0), ""), "{format}");
+        assert_eq!(output.lines().count(), lines, "{format}: {output}");
+    }
+    let (_, output, _) = convert(&input, &["--to", "json"]);
+    assert_eq!(output, input);
+}
+
+#[test]
+fn postcard_and_json_say_the_same() {
+    let mut buffer = [0; wire::MAX_MESSAGE];
+    let hex: Vec<String> = messages()
+        .iter()
+        .map(|message| {
+            let bytes = wire::encode(message, &mut buffer).expect("fits");
+            bytes.iter().map(|byte| format!("{byte:02X}")).collect()
+        })
+        .collect();
+    let (code, output, _) = convert(&hex.join("\n"), &["--from", "postcard", "--to", "json"]);
+    assert_eq!((code, output), (Some(0), json_lines()));
+}
+
+#[test]
+fn a_bad_line_is_named_and_the_others_are_converted() {
+    let lines = json_lines();
+    let (first, second) = lines.split_once('\n').expect("two messages");
+    let input = format!("{first}\n\n{{\"schema\":1}}\n{second}");
+    let (code, output, errors) = convert(&input, &["--to", "json"]);
+    assert_eq!(code, Some(65), "{errors}");
+    assert_eq!(output, lines);
+    assert!(errors.contains("line 3: no density message: missing field `site`"), "{errors}");
+    assert!(errors.contains("1 of 4 lines"), "{errors}");
+}
+
+#[test]
+fn a_file_is_there_whole_and_a_missing_input_is_named() {
+    let folder = folder();
+    let out = folder.path().join("out.csv");
+    let out = out.to_str().expect("UTF-8");
+    let (code, output, _) = convert(&json_lines(), &["--to", "csv", "--out", out]);
+    assert_eq!((code, output.as_str()), (Some(0), ""));
+    assert!(fs::read_to_string(out).expect("written").ends_with("\r\n"));
+    let failed = verge(&["convert", "--to", "csv", "no/such/file"]);
+    assert_eq!(failed.status.code(), Some(66), "{}", stderr(&failed));
+    assert!(stderr(&failed).contains("no/such/file"));
+    assert_eq!(verge(&["convert", "--to", "datex2", "--country", "DE"]).status.code(), Some(64));
+}
+
+#[test]
+fn datex2_has_the_elements_of_the_schema_in_their_order() {
+    let (code, output, _) = convert(&json_lines(), &["--to", "datex2", "--country", "hk"]);
+    assert_eq!(code, Some(0));
+    let root = xml::parse(&output);
+    assert_eq!(root.name, "d2:payload");
+    assert_eq!(root.attribute("modelBaseVersion"), Some("3"));
+    assert_eq!(root.attribute("lang"), Some("en"));
+    let mut values = Vec::new();
+    datex2::check(&root, "PayloadPublication", &mut values);
+    let densities: Vec<_> = values.iter().filter(|(name, _)| name.ends_with("Vehicles")).collect();
+    let lanes = messages()[0].report.lanes.len();
+    assert_eq!(densities.len(), lanes, "one for each lane that was measured, none for others");
+    let faults = values.iter().filter(|(name, _)| name.ends_with("FaultType")).count();
+    assert_eq!(faults, lanes, "one for each lane that was not");
+}
+
+/// The content models that the output uses, as the v3.5 schema has them.
+mod datex2 {
+    use super::xml::Element;
+
+    /// An element: its name, the least and the most number of it, and its type.
+    type Particle = (&'static str, usize, usize, &'static str);
+
+    fn model(kind: &str) -> Option<Vec<Particle>> {
+        const MANY: usize = usize::MAX;
+        let publication = [
+            ("com:publicationTime", 1, 1, "dateTime"),
+            ("com:publicationCreator", 1, 1, "InternationalIdentifier"),
+        ];
+        let quantity = [
+            ("roa:forecast", 0, 1, "boolean"),
+            ("roa:measurementEquipmentTypeUsed", 0, 1, "MultilingualString"),
+            ("roa:physicalQuantityFault", 0, MANY, "PhysicalQuantityFault"),
+        ];
+        Some(match kind {
+            "roa:MeasuredDataPublication" => [
+                &publication[..],
+                &[
+                    ("roa:measurementSiteTableReference", 1, MANY, "Reference"),
+                    ("roa:headerInformation", 1, 1, "HeaderInformation"),
+                    ("roa:siteMeasurements", 1, MANY, "SiteMeasurements"),
+                ],
+            ]
+            .concat(),
+            "InternationalIdentifier" => {
+                vec![("com:country", 1, 1, "country"), ("com:nationalIdentifier", 1, 1, "string")]
+            }
+            "HeaderInformation" => vec![
+                ("com:confidentiality", 0, 1, "string"),
+                ("com:allowedDeliveryChannel", 0, MANY, "string"),
+                ("com:informationStatus", 1, 1, "real"),
+            ],
+            "SiteMeasurements" => vec![
+                ("roa:measurementSiteReference", 1, 1, "Reference"),
+                ("roa:physicalQuantity", 0, MANY, "Indexed"),
+                ("roa:measurementTimeDefault", 1, 1, "MeasurementOrCalculationTime"),
+            ],
+            "Reference" => vec![],
+            "Indexed" => vec![("roa:physicalQuantity", 1, 1, "PhysicalQuantity")],
+            "roa:SinglePhysicalQuantity" => {
+                [&quantity[..], &[("roa:basicData", 0, 1, "BasicData")]].concat()
+            }
+            "roa:TrafficConcentration" => vec![
+                ("roa:measurementOrCalculationTime", 0, 1, "MeasurementOrCalculationTime"),
+                ("roa:density", 0, 1, "TrafficDensityValue"),
+                ("roa:occupancy", 0, 1, "PercentageValue"),
+            ],
+            "TrafficDensityValue" => vec![
+                ("com:dataError", 0, 1, "boolean"),
+                ("com:reasonForDataError", 0, 1, "MultilingualString"),
+                ("roa:densityOfVehicles", 1, 1, "nonNegativeInteger"),
+            ],
+            "PercentageValue" => vec![
+                ("com:dataError", 0, 1, "boolean"),
+                ("com:reasonForDataError", 0, 1, "MultilingualString"),
+                ("com:percentage", 1, 1, "percentage"),
+            ],
+            "PhysicalQuantityFault" => vec![
+                ("com:faultIdentifier", 0, 1, "string"),
+                ("com:faultDescription", 0, 1, "MultilingualString"),
+                ("com:faultCreationTime", 0, 1, "dateTime"),
+                ("com:faultLastUpdateTime", 1, 1, "dateTime"),
+                ("roa:physicalQuantityFaultType", 1, 1, "fault"),
+            ],
+            "MeasurementOrCalculationTime" => vec![
+                ("roa:timeMeaning", 0, 1, "timeMeaning"),
+                ("roa:timeValue", 0, 1, "dateTime"),
+                ("roa:period", 0, 1, "Period"),
+            ],
+            "Period" => vec![
+                ("com:startOfPeriod", 0, 1, "dateTime"),
+                ("com:endOfPeriod", 0, 1, "dateTime"),
+                ("com:periodName", 0, 1, "MultilingualString"),
+            ],
+            "MultilingualString" => vec![("com:values", 1, 1, "Values")],
+            "Values" => vec![("com:value", 1, MANY, "string")],
+            _ => return None,
+        })
+    }
+
+    fn is_value(kind: &str, text: &str) -> bool {
+        match kind {
+            "string" => !text.is_empty() && text.len() <= 1024,
+            "dateTime" => text.len() == 24 && text.ends_with('Z') && &text[10..11] == "T",
+            "boolean" => ["true", "false"].contains(&text),
+            "country" => text == "other" || text.len() == 2,
+            "real" => text == "real",
+            "nonNegativeInteger" => text.parse::<u64>().is_ok(),
+            "percentage" => text.parse::<f32>().is_ok_and(|p| (0.0..=100.0).contains(&p)),
+            "timeMeaning" => ["beginTime", "endTime", "middleTime"].contains(&text),
+            "fault" => ["noDataValuesAvailable", "spuriousUnreliableDataValues"].contains(&text),
+            _ => panic!("unknown type {kind}"),
+        }
+    }
+
+    /// Holds an element and all below it against their types; collects names and texts.
+    pub fn check(element: &Element, declared: &str, values: &mut Vec<(String, String)>) {
+        // An abstract type is told by the instance.
+        let kind = element.attribute("xsi:type").unwrap_or(declared);
+        let Some(model) = model(kind) else {
+            assert!(element.children.is_empty(), "{}: {kind} has no children", element.name);
+            assert!(is_value(kind, &element.text), "{}: {:?}", element.name, element.text);
+            values.push((element.name.clone(), element.text.clone()));
+            return;
+        };
+        match kind {
+            "Reference" => {
+                for attribute in ["targetClass", "id", "version"] {
+                    assert!(element.attribute(attribute).is_some(), "{}", element.name);
+                }
+            }
+            "Indexed" => {
+                let index = element.attribute("index").and_then(|index| index.parse::<i32>().ok());
+                assert!(index.is_some(), "{}", element.name);
+            }
+            "TrafficDensityValue" => {
+                let number = |name| element.attribute(name).and_then(|n| n.parse::<f32>().ok());
+                assert!(number("numberOfInputValuesUsed").is_some_and(|n| n.fract() == 0.0));
+                assert!(number("standardDeviation").is_some_and(|n| n > 0.0));
+                let quality = number("supplierCalculatedDataQuality");
+                assert!(quality.is_some_and(|n| (0.0..=100.0).contains(&n)));
+            }
+            _ => {}
+        }
+        assert!(element.text.is_empty(), "{}: {:?}", element.name, element.text);
+        let mut children = element.children.iter().peekable();
+        for (name, least, most, kind) in model {
+            let mut count = 0;
+            while let Some(child) = children.next_if(|child| child.name == name) {
+                count += 1;
+                check(child, kind, values);
+            }
+            assert!((least..=most).contains(&count), "{}: {count} {name}", element.name);
+        }
+        let left = children.next().map(|child| &child.name);
+        assert_eq!(left, None, "{}: not in the schema, or out of order", element.name);
+    }
+}
+
+/// As much XML as the output has: elements, attributes, text. Panics on anything else.
+mod xml {
+    pub struct Element {
+        pub name: String,
+        pub text: String,
+        pub children: Vec<Element>,
+        attributes: Vec<(String, String)>,
+    }
+
+    impl Element {
+        pub fn attribute(&self, name: &str) -> Option<&str> {
+            let mut attributes = self.attributes.iter();
+            attributes.find(|(key, _)| key == name).map(|(_, value)| value.as_str())
+        }
+    }
+
+    pub fn parse(document: &str) -> Element {
+        let mut rest = document.strip_prefix("<?xml version=\"1.0\" encoding=\"UTF-8\"?>");
+        let rest = rest.as_mut().expect("an XML declaration");
+        let root = element(rest);
+        assert_eq!(rest.trim(), "", "nothing behind the root");
+        root
+    }
+
+    fn element(rest: &mut &str) -> Element {
+        *rest = rest.trim_start().strip_prefix('<').expect("an element");
+        let (tag, behind) = rest.split_once('>').expect("the end of a tag");
+        *rest = behind;
+        let empty = tag.ends_with('/');
+        let tag = tag.trim_end_matches('/');
+        let (name, attributes) = tag.split_once(' ').unwrap_or((tag, ""));
+        let attributes = attributes
+            .split_terminator("\" ")
+            .map(|pair| pair.split_once("=\"").expect("name and value"))
+            .map(|(name, value)| (name.to_owned(), value.trim_end_matches('"').to_owned()))
+            .collect();
+        let mut found =
+            Element { name: name.to_owned(), text: String::new(), children: vec![], attributes };
+        if empty {
+            return found;
+        }
+        loop {
+            let (text, behind) = rest.split_once('<').expect("an end tag");
+            assert!(!text.contains('>'), "{text}");
+            found.text += text.trim();
+            if let Some(behind) = behind.strip_prefix('/') {
+                let (end, behind) = behind.split_once('>').expect("the end of a tag");
+                assert_eq!(end, found.name, "elements are nested");
+                *rest = behind;
+                return found;
+            }
+            *rest = &rest[text.len()..];
+            found.children.push(element(rest));
+        }
+    }
+}

@@ -77,7 +77,7 @@ pub struct Config {
 pub struct Camera {
     /// Name of the camera; the lane table must be made for it.
     pub id: String,
-    /// `http://` or `https://` address of a snapshot, or a folder of recorded frames.
+    /// Address of a snapshot, a device under `/dev`, or a folder of recorded frames.
     pub source: String,
     /// Time between two pictures, s.
     pub interval_s: f64,
@@ -230,7 +230,7 @@ impl Config {
         absolute(&mut self.lane_table.file);
         self.camera.password_file.as_mut().map(absolute);
         self.mqtt.password_file.as_mut().map(absolute);
-        if !self.camera.is_snapshot() {
+        if self.camera.kind() == SourceKind::Folder {
             self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
         }
     }
@@ -283,10 +283,26 @@ impl Config {
     }
 }
 
+/// What a camera's source is, by how it begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceKind {
+    /// `http://`, `https://`: asked for one picture after the other.
+    Snapshot,
+    /// `/dev/`: a device at the box.
+    Device,
+    /// Anything else: recorded frames.
+    Folder,
+}
+
 impl Camera {
-    /// Whether the source is asked over HTTP.
-    pub fn is_snapshot(&self) -> bool {
-        self.source.starts_with("http://") || self.source.starts_with("https://")
+    /// What the source is.
+    pub fn kind(&self) -> SourceKind {
+        let begins = |with: &[&str]| with.iter().any(|start| self.source.starts_with(start));
+        match () {
+            () if begins(&["http://", "https://"]) => SourceKind::Snapshot,
+            () if begins(&["/dev/"]) => SourceKind::Device,
+            () => SourceKind::Folder,
+        }
     }
 }
 

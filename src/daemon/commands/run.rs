@@ -4,7 +4,7 @@ use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::publish::Publisher;
-use crate::daemon::publish::payload::{self, Frames, Messages, status_name};
+use crate::daemon::publish::payload::{self, Frames, Messages, Stream, status_name};
 use crate::daemon::{Station, open_publisher};
 use crate::density::{Closed, SampleZoneStatus};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
@@ -189,6 +189,7 @@ impl Sensor {
     fn publish_health(&self, actions: Actions) {
         let now: UtcMs = clock::now();
         let statistics = self.publisher.statistics();
+        let stream = self.station.source.counts();
         self.publisher.health(&payload::Health {
             site: &self.site,
             time: clock::rfc3339(now),
@@ -198,6 +199,11 @@ impl Sensor {
             uptime_s: self.started.elapsed().as_secs(),
             clock_synced: clock::is_synchronised(),
             frames: self.frames,
+            stream: Stream {
+                flagged: stream.flagged,
+                lost: stream.lost,
+                reopened: stream.reopened,
+            },
             messages: Messages {
                 delivered: statistics.delivered.load(Ordering::Relaxed),
                 waiting: statistics.waiting.load(Ordering::Relaxed),

@@ -77,7 +77,7 @@ pub struct Config {
 pub struct Camera {
     /// Name of the camera; the lane table must be made for it.
     pub id: String,
-    /// Address of a snapshot, a device under `/dev`, or a folder of recorded frames.
+    /// Address of a snapshot or of a stream, a device under `/dev`, or a folder of recorded frames.
     pub source: String,
     /// Time between two pictures, s.
     pub interval_s: f64,
@@ -288,6 +288,8 @@ impl Config {
 pub enum SourceKind {
     /// `http://`, `https://`: asked for one picture after the other.
     Snapshot,
+    /// `mjpeg+http://`, `mjpeg+https://`: asked once, sends picture after picture.
+    Mjpeg,
     /// `/dev/`: a device at the box.
     Device,
     /// Anything else: recorded frames.
@@ -300,6 +302,7 @@ impl Camera {
         let begins = |with: &[&str]| with.iter().any(|start| self.source.starts_with(start));
         match () {
             () if begins(&["http://", "https://"]) => SourceKind::Snapshot,
+            () if begins(&["mjpeg+http://", "mjpeg+https://"]) => SourceKind::Mjpeg,
             () if begins(&["/dev/"]) => SourceKind::Device,
             () => SourceKind::Folder,
         }

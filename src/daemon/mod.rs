@@ -27,8 +27,8 @@ use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use crate::lane::{Description, Place};
 use crate::units::{ImagePoint, UtcMs};
 use capture::{
-    Captured, Credentials, DEFAULT_SIZE, DeviceSettings, Recorded, Snapshot, SnapshotSettings,
-    Source,
+    Captured, Credentials, DEFAULT_SIZE, DeviceSettings, MJPEG_SCHEME, Mjpeg, MjpegSettings,
+    Recorded, Snapshot, SnapshotSettings, Source,
 };
 use config::{Config, SourceKind};
 use detect::Detector;
@@ -335,6 +335,9 @@ fn first_picture(config: &Config, line: Option<&Line>) -> Result<Frame, Failure>
 fn open_camera(config: &Config, line: Option<&Line>) -> Result<Source, Failure> {
     let (source, interval) = (&config.camera.source, config.interval());
     let timeout = Duration::from_secs_f64(config.camera.timeout_s);
+    let credentials = || -> Result<_, Failure> {
+        Ok(config.camera_secret()?.map(|(user, password)| Credentials { user, password }))
+    };
     match config.camera.kind() {
         SourceKind::Folder => {
             let recorded = Recorded::open(Path::new(source), Some(interval))?;
@@ -346,10 +349,14 @@ fn open_camera(config: &Config, line: Option<&Line>) -> Result<Source, Failure> 
                 size.map_or(DEFAULT_SIZE, |size| (u32::from(size.width), u32::from(size.height)));
             Ok(Source::device(DeviceSettings { path: source.into(), size, interval, timeout })?)
         }
+        SourceKind::Mjpeg => {
+            let url = source.strip_prefix(MJPEG_SCHEME).unwrap_or(source).to_owned();
+            let settings = MjpegSettings { url, credentials: credentials()?, interval, timeout };
+            Ok(Source::Mjpeg(Box::new(Mjpeg::new(settings)?)))
+        }
         SourceKind::Snapshot => {
-            let credentials =
-                config.camera_secret()?.map(|(user, password)| Credentials { user, password });
-            let settings = SnapshotSettings { url: source.clone(), credentials, interval, timeout };
+            let (url, credentials) = (source.clone(), credentials()?);
+            let settings = SnapshotSettings { url, credentials, interval, timeout };
             Ok(Source::Snapshot(Box::new(Snapshot::new(settings)?)))
         }
     }

@@ -1,12 +1,15 @@
 //! Capture: the first stage, from a camera to [`Frame`]s.
 //!
-//! Owns where pictures come from (recorded files, HTTP snapshots, V4L2 devices), their
+//! Owns where pictures come from (recorded files, HTTP snapshots and streams, V4L2
+//! devices), their
 //! times, and their decoding. The door of the crates `image`, `ureq` and `v4l`; their errors
 //! stop here.
 
 pub mod backoff;
 mod decode;
 mod device;
+mod mjpeg;
+pub mod multipart;
 pub mod negotiate;
 pub mod pixels;
 pub mod queue;
@@ -18,6 +21,7 @@ mod v4l2;
 
 pub use decode::{DecodeError, MAX_PICTURE, decode};
 pub use device::{DEFAULT_SIZE, DeviceError, DeviceSettings};
+pub use mjpeg::{Mjpeg, MjpegError, MjpegSettings, SCHEME as MJPEG_SCHEME};
 pub use recorded::{Recorded, RecordingError};
 pub use snapshot::{Credentials, Snapshot, SnapshotError, SnapshotSettings};
 
@@ -61,6 +65,9 @@ pub enum CaptureError {
     /// The camera did not give a snapshot.
     #[error(transparent)]
     Snapshot(#[from] SnapshotError),
+    /// The camera's stream did not give a picture.
+    #[error(transparent)]
+    Mjpeg(#[from] MjpegError),
     /// A device did not give a picture.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -91,6 +98,8 @@ pub enum Source {
     Recorded(Recorded),
     /// A camera that answers HTTP requests with a picture.
     Snapshot(Box<Snapshot>),
+    /// A camera that answers one HTTP request with picture after picture.
+    Mjpeg(Box<Mjpeg>),
     /// A camera at the box.
     #[cfg(all(feature = "v4l2", target_os = "linux"))]
     Device(Box<v4l2::V4l2>),
@@ -112,6 +121,7 @@ impl Source {
     pub fn counts(&self) -> StreamCounts {
         match self {
             Self::Recorded(_) | Self::Snapshot(_) => StreamCounts::default(),
+            Self::Mjpeg(mjpeg) => mjpeg.counts(),
             #[cfg(all(feature = "v4l2", target_os = "linux"))]
             Self::Device(device) => device.counts(),
         }
@@ -125,6 +135,7 @@ impl Source {
         match self {
             Self::Recorded(recorded) => recorded.next(frame),
             Self::Snapshot(snapshot) => snapshot.next(frame),
+            Self::Mjpeg(mjpeg) => mjpeg.next(frame),
             #[cfg(all(feature = "v4l2", target_os = "linux"))]
             Self::Device(device) => device.next(frame),
         }
@@ -135,6 +146,7 @@ impl Source {
         match self {
             Self::Recorded(recorded) => recorded.interval(),
             Self::Snapshot(snapshot) => snapshot.interval(),
+            Self::Mjpeg(mjpeg) => mjpeg.interval(),
             #[cfg(all(feature = "v4l2", target_os = "linux"))]
             Self::Device(device) => device.interval(),
         }

@@ -157,6 +157,7 @@ fn what_is_published_stands_in_the_document() {
         uptime_s: 5,
         clock_synced: true,
         frames: payload::Frames::default(),
+        stream: payload::Stream::default(),
         messages: payload::Messages::default(),
         last_fault: None,
     });

@@ -87,6 +87,7 @@ fn health() -> payload::Health<'static> {
         uptime_s: 5,
         clock_synced: true,
         frames: payload::Frames::default(),
+        stream: payload::Stream::default(),
         messages: payload::Messages::default(),
         last_fault: None,
     }

@@ -87,7 +87,7 @@ pub struct Config {
 pub struct Camera {
     /// Name of the camera; the lane table must be made for it.
     pub id: String,
-    /// `http://` or `https://` address of a snapshot, or a folder of recorded frames.
+    /// Address of a snapshot or of a stream, a device under `/dev`, or a folder of recorded frames.
     pub source: String,
     /// Time between two pictures, s.
     pub interval_s: f64,
@@ -309,7 +309,7 @@ impl Config {
             file.as_mut().map(absolute);
         }
         self.metrics.file.as_mut().map(absolute);
-        if !self.camera.is_snapshot() {
+        if self.camera.kind() == SourceKind::Folder {
             self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
         }
     }
@@ -394,10 +394,29 @@ impl Config {
     }
 }
 
+/// What a camera's source is, by how it begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceKind {
+    /// `http://`, `https://`: asked for one picture after the other.
+    Snapshot,
+    /// `mjpeg+http://`, `mjpeg+https://`: asked once, sends picture after picture.
+    Mjpeg,
+    /// `/dev/`: a device at the box.
+    Device,
+    /// Anything else: recorded frames.
+    Folder,
+}
+
 impl Camera {
-    /// Whether the source is asked over HTTP.
-    pub fn is_snapshot(&self) -> bool {
-        self.source.starts_with("http://") || self.source.starts_with("https://")
+    /// What the source is.
+    pub fn kind(&self) -> SourceKind {
+        let begins = |with: &[&str]| with.iter().any(|start| self.source.starts_with(start));
+        match () {
+            () if begins(&["http://", "https://"]) => SourceKind::Snapshot,
+            () if begins(&["mjpeg+http://", "mjpeg+https://"]) => SourceKind::Mjpeg,
+            () if begins(&["/dev/"]) => SourceKind::Device,
+            () => SourceKind::Folder,
+        }
     }
 }
 

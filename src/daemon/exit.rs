@@ -3,7 +3,7 @@
 //! Owns the mapping from errors to exit codes (`sysexits.h`), so that a supervisor can tell
 //! a wrong file from a missing one without reading the message.
 
-use super::capture::{CaptureError, RecordingError, SnapshotError};
+use super::capture::{CaptureError, DeviceError, MjpegError, RecordingError, SnapshotError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
 use super::locate::LocateError;
@@ -41,6 +41,12 @@ pub enum Failure {
     /// The camera's address.
     #[error(transparent)]
     Snapshot(#[from] SnapshotError),
+    /// The address of the camera's stream.
+    #[error(transparent)]
+    Mjpeg(#[from] MjpegError),
+    /// The camera's device.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
     /// The model.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -141,7 +147,11 @@ impl Failure {
             Self::Recording(_) | Self::DemoFiles { .. } => NOINPUT,
             Self::Capture(CaptureError::Read { .. }) => NOINPUT,
             Self::Capture(CaptureError::Decode { .. }) | Self::NothingMeasured { .. } => DATAERR,
-            Self::Capture(CaptureError::Snapshot(_)) | Self::Snapshot(_) => UNAVAILABLE,
+            Self::Device(DeviceError::NotBuilt { .. }) | Self::Mjpeg(MjpegError::Url { .. }) => {
+                CONFIG
+            }
+            Self::Capture(_) => UNAVAILABLE,
+            Self::Snapshot(_) | Self::Mjpeg(_) | Self::Device(_) => UNAVAILABLE,
             Self::Broker { .. } => UNAVAILABLE,
             Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,

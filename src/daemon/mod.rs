@@ -30,8 +30,11 @@ use crate::density::{Aggregator, Closed, FrameCounts, SampleZoneStatus, Start, W
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use crate::lane::{Description, Place};
 use crate::units::{ImagePoint, UtcMs};
-use capture::{Captured, Credentials, Recorded, Snapshot, SnapshotSettings, Source};
-use config::Config;
+use capture::{
+    Captured, Credentials, DEFAULT_SIZE, DeviceSettings, MJPEG_SCHEME, Mjpeg, MjpegSettings,
+    Recorded, Snapshot, SnapshotSettings, Source,
+};
+use config::{Config, SourceKind};
 use detect::Detector;
 use exit::Failure;
 use flow::{Detection, Frame};
@@ -296,7 +299,9 @@ struct Station {
 impl Station {
     /// The station of a configuration.
     fn open(config: &Config) -> Result<Self, Failure> {
-        Ok(Self { source: open_camera(config)?, frame: Frame::default(), line: open_line(config)? })
+        let line = open_line(config)?;
+        let source = open_camera(config, Some(&line))?;
+        Ok(Self { source, frame: Frame::default(), line })
     }
 
     /// Takes a picture and measures it: the windows that it closes, or `None` when the
@@ -324,29 +329,42 @@ fn open_endless(settings: &LineSettings, frames: &Path) -> Result<Station, Failu
     Ok(Station { source, frame: Frame::default(), line })
 }
 
-/// The first picture of a configuration's camera.
-fn first_picture(config: &Config) -> Result<Frame, Failure> {
+/// The first picture of a configuration's camera, in the shape of the line's table.
+fn first_picture(config: &Config, line: Option<&Line>) -> Result<Frame, Failure> {
     let mut frame = Frame::default();
-    open_camera(config)?.next(&mut frame)?;
+    open_camera(config, line)?.next(&mut frame)?;
     Ok(frame)
 }
 
-/// The camera of a configuration.
-fn open_camera(config: &Config) -> Result<Source, Failure> {
-    let interval = config.interval();
-    if !config.camera.is_snapshot() {
-        let recorded = Recorded::open(Path::new(&config.camera.source), Some(interval))?;
-        return Ok(Source::Recorded(recorded.for_ever()));
-    }
-    let credentials =
-        config.camera_secret()?.map(|(user, password)| Credentials { user, password });
-    let settings = SnapshotSettings {
-        url: config.camera.source.clone(),
-        credentials,
-        interval,
-        timeout: Duration::from_secs_f64(config.camera.timeout_s),
+/// The camera of a configuration, asked for pictures in the shape of the line's table.
+fn open_camera(config: &Config, line: Option<&Line>) -> Result<Source, Failure> {
+    let (source, interval) = (&config.camera.source, config.interval());
+    let timeout = Duration::from_secs_f64(config.camera.timeout_s);
+    let credentials = || -> Result<_, Failure> {
+        Ok(config.camera_secret()?.map(|(user, password)| Credentials { user, password }))
     };
-    Ok(Source::Snapshot(Box::new(Snapshot::new(settings)?)))
+    match config.camera.kind() {
+        SourceKind::Folder => {
+            let recorded = Recorded::open(Path::new(source), Some(interval))?;
+            Ok(Source::Recorded(recorded.for_ever()))
+        }
+        SourceKind::Device => {
+            let size = line.map(|line| line.counting.table().image_size);
+            let size =
+                size.map_or(DEFAULT_SIZE, |size| (u32::from(size.width), u32::from(size.height)));
+            Ok(Source::device(DeviceSettings { path: source.into(), size, interval, timeout })?)
+        }
+        SourceKind::Mjpeg => {
+            let url = source.strip_prefix(MJPEG_SCHEME).unwrap_or(source).to_owned();
+            let settings = MjpegSettings { url, credentials: credentials()?, interval, timeout };
+            Ok(Source::Mjpeg(Box::new(Mjpeg::new(settings)?)))
+        }
+        SourceKind::Snapshot => {
+            let (url, credentials) = (source.clone(), credentials()?);
+            let settings = SnapshotSettings { url, credentials, interval, timeout };
+            Ok(Source::Snapshot(Box::new(Snapshot::new(settings)?)))
+        }
+    }
 }
 
 /// The line of a configuration.

@@ -5,7 +5,7 @@ use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::publish::home_assistant::{self, Announcement};
-use crate::daemon::publish::payload::{self, Frames, Messages, status_name};
+use crate::daemon::publish::payload::{self, Frames, Messages, Stream, status_name};
 use crate::daemon::{Outlet, Station, open_outlet};
 use crate::density::{Closed, SampleZoneStatus};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
@@ -221,6 +221,7 @@ impl Sensor {
         let now: UtcMs = clock::now();
         let (delivered, refused) = self.outlet.publisher().counts();
         let spool = self.outlet.counts();
+        let stream = self.station.source.counts();
         let health = payload::Health {
             site: &self.site,
             time: clock::rfc3339(now),
@@ -230,6 +231,11 @@ impl Sensor {
             uptime_s: self.started.elapsed().as_secs(),
             clock_synced: clock::is_synchronised(),
             frames: self.frames,
+            stream: Stream {
+                flagged: stream.flagged,
+                lost: stream.lost,
+                reopened: stream.reopened,
+            },
             messages: Messages {
                 delivered,
                 refused,

@@ -143,6 +143,8 @@ pub struct Health<'a> {
     pub clock_synced: bool,
     /// What became of the pictures since start.
     pub frames: Frames,
+    /// What became of the frames of the camera's stream since start.
+    pub stream: Stream,
     /// What became of the messages since start.
     pub messages: Messages,
     /// The latest fault, for people.
@@ -160,6 +162,18 @@ pub struct Frames {
     pub damaged: u64,
     /// Did not come.
     pub missing: u64,
+}
+
+/// What became of a stream's frames since start, beside those that are pictures; all 0
+/// where the camera gives no stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Stream {
+    /// Marked as damaged on the way, and passed over.
+    pub flagged: u64,
+    /// Missing between two sequence numbers.
+    pub lost: u64,
+    /// Times that the stream was given up and opened again.
+    pub reopened: u64,
 }
 
 /// What became of the messages since start.

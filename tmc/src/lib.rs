@@ -1,0 +1,11 @@
+//! The centre: what a traffic management centre makes of the sensors' densities.
+//!
+//! Each command is a module with its arguments and a `run`; `main.rs` names them all.
+//! `chart` draws, `csv` reads tables, `whole` writes files whole, `failure` holds the errors.
+
+pub mod chart;
+pub mod csv;
+pub mod failure;
+pub mod fit;
+pub mod points;
+pub mod whole;

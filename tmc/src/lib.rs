@@ -7,5 +7,7 @@ pub mod chart;
 pub mod csv;
 pub mod failure;
 pub mod fit;
+pub mod message;
 pub mod points;
+pub mod score;
 pub mod whole;

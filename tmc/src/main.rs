@@ -3,7 +3,7 @@
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use verge_tmc::failure::{Failure, USAGE};
-use verge_tmc::{fit, points};
+use verge_tmc::{fit, points, score};
 
 /// What a traffic management centre makes of the sensors' densities.
 #[derive(Parser)]
@@ -19,6 +19,8 @@ enum Command {
     Points(points::Arguments),
     /// Fit a fundamental diagram: Greenshields or Newell.
     Fit(fit::Arguments),
+    /// Score density against ground truth, lane by lane: RMSE, MAE, MAPE.
+    Score(score::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -34,6 +36,7 @@ fn main() -> ExitCode {
     let result: Result<(), Failure> = match arguments.command {
         Command::Points(arguments) => points::run(&arguments),
         Command::Fit(arguments) => fit::run(&arguments),
+        Command::Score(arguments) => score::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

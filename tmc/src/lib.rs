@@ -3,6 +3,7 @@
 //! Each command is a module with its arguments and a `run`; `main.rs` names them all.
 //! `chart` draws, `csv` reads tables, `whole` writes files whole, `failure` holds the errors.
 
+pub mod archive;
 pub mod chart;
 pub mod csv;
 pub mod failure;
@@ -10,4 +11,5 @@ pub mod fit;
 pub mod message;
 pub mod points;
 pub mod score;
+pub mod store;
 pub mod whole;

@@ -3,7 +3,7 @@
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use verge_tmc::failure::{Failure, USAGE};
-use verge_tmc::{fit, points, score};
+use verge_tmc::{archive, fit, points, score};
 
 /// What a traffic management centre makes of the sensors' densities.
 #[derive(Parser)]
@@ -15,6 +15,8 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Keep what the sensors publish: from the broker into Parquet, each window once.
+    Archive(archive::Arguments),
     /// Turn detector data into points of density and speed for `fit`.
     Points(points::Arguments),
     /// Fit a fundamental diagram: Greenshields or Newell.
@@ -34,6 +36,7 @@ fn main() -> ExitCode {
         }
     };
     let result: Result<(), Failure> = match arguments.command {
+        Command::Archive(arguments) => archive::run(&arguments),
         Command::Points(arguments) => points::run(&arguments),
         Command::Fit(arguments) => fit::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),

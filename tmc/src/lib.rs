@@ -10,6 +10,7 @@ pub mod failure;
 pub mod fit;
 pub mod message;
 pub mod points;
+pub mod report;
 pub mod score;
 pub mod store;
 pub mod whole;

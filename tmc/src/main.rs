@@ -3,7 +3,7 @@
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use verge_tmc::failure::{Failure, USAGE};
-use verge_tmc::{archive, fit, points, score};
+use verge_tmc::{archive, fit, points, report, score};
 
 /// What a traffic management centre makes of the sensors' densities.
 #[derive(Parser)]
@@ -21,6 +21,8 @@ enum Command {
     Points(points::Arguments),
     /// Fit a fundamental diagram: Greenshields or Newell.
     Fit(fit::Arguments),
+    /// Say when, on which weekday and where density stands: pages, pictures, tables.
+    Report(report::Arguments),
     /// Score density against ground truth, lane by lane: RMSE, MAE, MAPE.
     Score(score::Arguments),
 }
@@ -39,6 +41,7 @@ fn main() -> ExitCode {
         Command::Archive(arguments) => archive::run(&arguments),
         Command::Points(arguments) => points::run(&arguments),
         Command::Fit(arguments) => fit::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),
     };
     match result {

@@ -208,7 +208,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::publish::payload::{Frames, Messages};
+    use crate::daemon::publish::payload::{Frames, Messages, Stream};
     use crate::units::{LaneId, UtcMs};
     use std::collections::{BTreeSet, HashMap};
 
@@ -243,6 +243,7 @@ mod tests {
             uptime_s: 75,
             clock_synced: true,
             frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3 },
+            stream: Stream::default(),
             messages: Messages { delivered: 4, waiting: 5, dropped: 6, ..Messages::default() },
             last_fault: None,
         }

@@ -103,7 +103,10 @@ fn a_file_is_there_whole_and_a_missing_input_is_named() {
     let failed = verge(&["convert", "--to", "csv", "no/such/file"]);
     assert_eq!(failed.status.code(), Some(66), "{}", stderr(&failed));
     assert!(stderr(&failed).contains("no/such/file"));
-    assert_eq!(verge(&["convert", "--to", "datex2", "--country", "DE"]).status.code(), Some(64));
+    for (option, wrong) in [("--country", "DE"), ("--road-segment", "seven")] {
+        let failed = verge(&["convert", "--to", "csv", option, wrong]);
+        assert_eq!(failed.status.code(), Some(64), "{}", stderr(&failed));
+    }
 }
 
 #[test]

@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// FIWARE: the road segment of the site, an URN
-    #[arg(long, value_name = "URN")]
+    #[arg(long, value_name = "URN", value_parser = urn)]
     road_segment: Option<String>,
     /// DATEX II: country of the publisher, two small letters
     #[arg(long, value_name = "CC", value_parser = country)]
@@ -39,6 +39,15 @@ fn country(text: &str) -> Result<String, String> {
         Ok(text.to_owned())
     } else {
         Err("give two small letters, such as de".into())
+    }
+}
+
+fn urn(text: &str) -> Result<String, String> {
+    let plain = |byte: u8| byte.is_ascii_graphic() && !b"<>\"'=;()".contains(&byte);
+    if text.contains(':') && text.bytes().all(plain) {
+        Ok(text.to_owned())
+    } else {
+        Err("give an URN such as urn:ngsi-ld:RoadSegment:7".into())
     }
 }
 

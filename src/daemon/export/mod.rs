@@ -5,12 +5,11 @@
 //! what a format cannot say, stands in `docs/formats.md`.
 
 mod csv;
-pub mod datex2;
-pub mod fiware;
+mod datex2;
+mod fiware;
 mod ntcip;
 mod read;
 
-pub use csv::HEADER as CSV_HEADER;
 pub use read::{MessageForm, ReadError, read};
 
 use crate::daemon::publish::payload;

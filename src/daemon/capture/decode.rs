@@ -98,7 +98,7 @@ fn check_palette(png: &[u8]) -> Result<(), DecodeError> {
     let mut rest = png.get(8..).unwrap_or_default();
     while let Some((&[l0, l1, l2, l3, kind @ ..], body)) = rest.split_first_chunk::<8>() {
         let len = u32::from_be_bytes([l0, l1, l2, l3]) as usize;
-        if kind == *b"PLTE" && (len % 3 != 0 || len > 3 * 256) {
+        if kind == *b"PLTE" && (!len.is_multiple_of(3) || len > 3 * 256) {
             return Err(DecodeError::Damaged(format!("a palette of {len} bytes")));
         }
         // The body is followed by its checksum.

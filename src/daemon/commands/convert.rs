@@ -29,16 +29,16 @@ pub struct Args {
     /// FIWARE: the road segment of the site, an URN
     #[arg(long, value_name = "URN", value_parser = urn)]
     road_segment: Option<String>,
-    /// DATEX II: country of the publisher, two small letters
+    /// DATEX II: country of the publisher, two letters of ISO 3166-1
     #[arg(long, value_name = "CC", value_parser = country)]
     country: Option<String>,
 }
 
 fn country(text: &str) -> Result<String, String> {
-    if text.len() == 2 && text.bytes().all(|byte| byte.is_ascii_lowercase()) {
+    if text.len() == 2 && text.bytes().all(|byte| byte.is_ascii_alphabetic()) {
         Ok(text.to_owned())
     } else {
-        Err("give two small letters, such as de".into())
+        Err("give the two letters of ISO 3166-1, such as DE".into())
     }
 }
 

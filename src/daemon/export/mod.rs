@@ -36,7 +36,7 @@ pub enum Target {
 pub struct Place {
     /// FIWARE `refRoadSegment`, an URN or address of the road segment.
     pub road_segment: Option<String>,
-    /// DATEX II country of the publisher, two small letters.
+    /// DATEX II country of the publisher, ISO 3166-1 alpha-2.
     pub country: Option<String>,
 }
 

@@ -7,8 +7,9 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
+use verge::daemon::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
-use verge::daemon::publish::{Format, Identity, MqttSettings, Publisher, payload, window_name};
+use verge::daemon::publish::{Format, Identity, MqttSettings, payload, window_name};
 use verge::density::{LaneReport, SampleZoneStatus, WindowReport};
 use verge::health::Alarm;
 use verge::lane::{LaneTable, Name};
@@ -136,17 +137,16 @@ fn what_is_published_stands_in_the_document() {
     let table = fs::read("tests/data/k109f.lut").expect("it ships");
     let table = LaneTable::parse(table).expect("a right table");
     let model = ModelRef { name: Name::try_from("test").expect("short"), sha256: [7; 32] };
-    let settings = MqttSettings {
-        host: "127.0.0.1".into(),
-        port,
-        client_id: String::new(),
-        credentials: None,
-        root: ROOT.into(),
-        keep_alive: Duration::from_secs(5),
-    };
     let identity = Identity::new("k109f", table.description(), &model);
-    let mut publisher = Publisher::start(settings, Format::Json, identity);
-    publisher.density(&report(), true);
+    let mut outlet = Outlet::in_memory(MqttSettings::local(port, ROOT), Format::Json, identity);
+    // Before there is a session, and in one: replayed and live.
+    outlet.density(&report(), true);
+    while outlet.counts().waiting > 0 {
+        outlet.tend();
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    outlet.density(&report(), true);
+    let publisher = outlet.publisher();
     let time = || "2026-01-05T08:00:00.000Z".to_owned();
     publisher.health(&payload::Health {
         site: "k109f",
@@ -157,12 +157,13 @@ fn what_is_published_stands_in_the_document() {
         uptime_s: 5,
         clock_synced: true,
         frames: payload::Frames::default(),
+        stream: payload::Stream::default(),
         messages: payload::Messages::default(),
         last_fault: None,
     });
     let name = Alarm::NoPicture.name();
     publisher.alarm(name, &payload::Alarm { site: "k109f", time: time(), name, active: true });
-    publisher.stop();
+    outlet.stop();
     let mut seen = BTreeSet::new();
     loop {
         let (topic, bytes) = subscriber.next(Duration::from_secs(20)).expect("all messages arrive");
@@ -187,5 +188,5 @@ fn what_is_published_stands_in_the_document() {
         }
     }
     let seen: Vec<_> = seen.iter().map(String::as_str).collect();
-    assert_eq!(seen, ["alarm", "density", "health", "presence"]);
+    assert_eq!(seen, ["alarm", "density", "health", "presence", "replay"]);
 }

@@ -4,14 +4,17 @@
 mod common;
 
 use common::folder;
+use common::mosquitto::{Mosquitto, Running, free_port};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+use verge::daemon::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
-use verge::daemon::publish::{Format, Identity, MqttSettings, Publisher, payload};
+use verge::daemon::publish::{
+    Format, Identity, MqttSettings, MqttVersion, Tls, TlsFiles, payload, probe,
+};
 use verge::density::{Aggregator, FrameCounts, Start, WindowReport};
 use verge::lane::LaneTable;
 use verge::units::{LaneId, UtcMs, VehicleClass};
@@ -49,14 +52,18 @@ fn windows() -> Vec<WindowReport> {
     closed
 }
 
-fn settings(port: u16) -> MqttSettings {
-    MqttSettings {
-        host: "127.0.0.1".into(),
-        port,
-        client_id: String::new(),
-        credentials: None,
-        root: "verge/k109f".into(),
-        keep_alive: Duration::from_secs(5),
+fn outlet(port: u16, format: Format, version: MqttVersion) -> Outlet {
+    let settings = MqttSettings { version, ..MqttSettings::local(port, "verge/k109f") };
+    Outlet::in_memory(settings, format, identity())
+}
+
+/// Tends the outlet until `done`.
+fn tend(outlet: &mut Outlet, what: &str, done: impl Fn(&Outlet) -> bool) {
+    let started = Instant::now();
+    while !done(outlet) {
+        assert!(started.elapsed() < PATIENCE, "{what}");
+        outlet.tend();
+        std::thread::sleep(Duration::from_millis(10));
     }
 }
 
@@ -80,6 +87,7 @@ fn health() -> payload::Health<'static> {
         uptime_s: 5,
         clock_synced: true,
         frames: payload::Frames::default(),
+        stream: payload::Stream::default(),
         messages: payload::Messages::default(),
         last_fault: None,
     }
@@ -89,12 +97,13 @@ fn health() -> payload::Health<'static> {
 fn messages_arrive_in_order_and_match_their_schemas() {
     let port = loopback::start_broker().expect("a broker");
     let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
-    let mut publisher = Publisher::start(settings(port), Format::Json, identity());
+    let mut outlet = outlet(port, Format::Json, MqttVersion::V3);
+    tend(&mut outlet, "a session", Outlet::is_open);
     for report in windows() {
-        publisher.density(&report, true);
+        outlet.density(&report, true);
     }
-    publisher.health(&health());
-    publisher.alarm(
+    outlet.publisher().health(&health());
+    outlet.publisher().alarm(
         "no_picture",
         &payload::Alarm {
             site: "k109f",
@@ -103,7 +112,7 @@ fn messages_arrive_in_order_and_match_their_schemas() {
             active: true,
         },
     );
-    publisher.stop();
+    outlet.stop();
     let mut topics = Vec::new();
     let mut seqs = Vec::new();
     while topics.last().is_none_or(|topic| topic != "presence shutdown") {
@@ -144,103 +153,137 @@ fn messages_arrive_in_order_and_match_their_schemas() {
 fn postcard_messages_decode_to_what_was_measured() {
     let port = loopback::start_broker().expect("a broker");
     let mut subscriber = Subscriber::connect(port, "verge/+/density/#").expect("a subscription");
-    let mut publisher = Publisher::start(settings(port), Format::Postcard, identity());
+    let mut outlet = outlet(port, Format::Postcard, MqttVersion::V3);
+    tend(&mut outlet, "a session", Outlet::is_open);
     let reports = windows();
     for report in &reports {
-        publisher.density(report, false);
+        outlet.density(report, false);
     }
     for report in &reports {
         let (_, bytes) = subscriber.next(PATIENCE).expect("it arrives");
         assert_eq!(&wire::decode(&bytes).expect("a right message").report, report);
     }
-    publisher.stop();
+    outlet.stop();
+}
+
+/// A window as it arrived: its number, and whether it closed a replay.
+fn arrival(subscriber: &mut Subscriber) -> (String, u64, Option<bool>) {
+    let (topic, bytes) = loop {
+        let (topic, bytes) = subscriber.next(PATIENCE).expect("it arrives");
+        if !topic.ends_with("presence") {
+            break (topic, bytes);
+        }
+    };
+    let message: Value = serde_json::from_slice(&bytes).expect("JSON");
+    validate("density", &message);
+    let topic = topic.strip_prefix("verge/k109f/").expect("the site's root").to_owned();
+    (topic, message["seq"].as_u64().expect("a number"), message["done"].as_bool())
 }
 
 #[test]
-fn what_was_measured_while_the_broker_was_away_arrives_later() {
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
-    let port = free.local_addr().expect("its address").port();
-    drop(free);
+fn an_outage_is_replayed_on_its_own_topic() {
+    for version in [MqttVersion::V3, MqttVersion::V5] {
+        let Some(mosquitto) = Mosquitto::installed() else { return };
+        let port = free_port();
+        let mut outlet = outlet(port, Format::Json, version);
+        let reports = windows();
+        outlet.density(&reports[0], true);
+        outlet.density(&reports[1], true);
+        std::thread::sleep(Duration::from_millis(500));
+        let mut broker = mosquitto.start(port);
+        let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
+        tend(&mut outlet, "replay", |outlet| outlet.counts().waiting == 0);
+        let replay = |seq, done| ("replay/density/60s".to_owned(), seq, Some(done));
+        assert_eq!(arrival(&mut subscriber), replay(1, false));
+        assert_eq!(arrival(&mut subscriber), replay(2, true));
+        // Live again, and once more away: what is taken once is not sent again.
+        outlet.density(&reports[0], true);
+        tend(&mut outlet, "an acknowledgement", |outlet| outlet.counts().waiting == 0);
+        assert_eq!(arrival(&mut subscriber), ("density/60s".to_owned(), 3, None));
+        broker.kill();
+        tend(&mut outlet, "the end of the session", |outlet| !outlet.is_open());
+        outlet.density(&reports[1], true);
+        let _broker = mosquitto.start(port);
+        let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
+        tend(&mut outlet, "replay", |outlet| outlet.counts().waiting == 0);
+        assert_eq!(arrival(&mut subscriber), replay(4, true));
+        outlet.stop();
+    }
+}
+
+/// A key with a certificate for `name` that the authority has signed, as PEM files.
+fn signed(
+    folder: &Path,
+    name: &str,
+    authority: &rcgen::Issuer<'_, rcgen::KeyPair>,
+) -> (PathBuf, PathBuf) {
+    let key = rcgen::KeyPair::generate().expect("a key");
+    let parameters = rcgen::CertificateParams::new([name.to_owned()]).expect("a name");
+    let certificate = parameters.signed_by(&key, authority).expect("a certificate");
+    let paths = (folder.join(format!("{name}.pem")), folder.join(format!("{name}.key")));
+    std::fs::write(&paths.0, certificate.pem()).expect("writing it");
+    std::fs::write(&paths.1, key.serialize_pem()).expect("writing it");
+    paths
+}
+
+/// A certificate authority, and its certificate as a PEM file.
+fn authority(folder: &Path, name: &str) -> (rcgen::Issuer<'static, rcgen::KeyPair>, PathBuf) {
+    let mut parameters = rcgen::CertificateParams::new([name.to_owned()]).expect("a name");
+    parameters.is_ca = rcgen::IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
+    parameters.distinguished_name.push(rcgen::DnType::CommonName, name);
+    let key = rcgen::KeyPair::generate().expect("a key");
+    let certificate = parameters.self_signed(&key).expect("a certificate");
+    let path = folder.join(format!("{name}.pem"));
+    std::fs::write(&path, certificate.pem()).expect("writing it");
+    (rcgen::Issuer::new(parameters, key), path)
+}
+
+#[test]
+fn tls_with_certificates_of_both_sides() {
     let Some(mosquitto) = Mosquitto::installed() else { return };
-    let mut publisher = Publisher::start(settings(port), Format::Json, identity());
-    let reports = windows();
-    publisher.density(&reports[0], true);
-    std::thread::sleep(Duration::from_millis(500));
-    let mut broker = mosquitto.start(port);
-    let mut subscriber = Subscriber::connect(port, "verge/+/density/#").expect("a subscription");
-    let seq = |subscriber: &mut Subscriber| {
-        let (_, bytes) = subscriber.next(PATIENCE).expect("it arrives");
-        let message: Value = serde_json::from_slice(&bytes).expect("JSON");
-        message["seq"].as_u64().expect("a number")
-    };
-    assert_eq!(seq(&mut subscriber), 1);
-    broker.kill();
-    publisher.density(&reports[1], true);
-    std::thread::sleep(Duration::from_millis(500));
-    let _broker = mosquitto.start(port);
-    let mut subscriber = Subscriber::connect(port, "verge/+/density/#").expect("a subscription");
-    // The first may come again: its acknowledgement can have died with the broker.
-    let mut arrived = seq(&mut subscriber);
-    if arrived == 1 {
-        arrived = seq(&mut subscriber);
+    let folder = folder();
+    let (ours, ca) = authority(folder.path(), "authority");
+    let (_, stranger) = authority(folder.path(), "stranger");
+    let (certificate, key) = signed(folder.path(), "localhost", &ours);
+    let identity = signed(folder.path(), "box", &ours);
+    let port = free_port();
+    let text = format!(
+        "listener {port} 127.0.0.1\nallow_anonymous true\nrequire_certificate true\n\
+         cafile {}\ncertfile {}\nkeyfile {}\n",
+        ca.display(),
+        certificate.display(),
+        key.display()
+    );
+    let config = folder.path().join("mosquitto.conf");
+    std::fs::write(&config, text).expect("writing it");
+    // Debian's broker gives up root, and must read its key still.
+    #[cfg(unix)]
+    for path in [folder.path(), key.as_path()] {
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).expect("chmod");
     }
-    assert_eq!(arrived, 2);
-    publisher.stop();
-}
-
-/// Debian's broker, on a port of this machine, ended with the value.
-struct Mosquitto {
-    program: &'static str,
-}
-
-impl Mosquitto {
-    fn installed() -> Option<Self> {
-        let program = ["/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto"]
-            .into_iter()
-            .find(|path| Path::new(path).exists());
-        if program.is_none() {
-            common::skip("mosquitto is not installed");
+    let _broker = mosquitto.start_with(port, &config);
+    for (ca, identity, accepted) in
+        [(&ca, Some(&identity), true), (&ca, None, false), (&stranger, Some(&identity), false)]
+    {
+        for version in [MqttVersion::V3, MqttVersion::V5] {
+            let files = TlsFiles { ca: Some(ca.clone()), identity: identity.cloned() };
+            let tls = Some(Tls::load(&files).expect("right files"));
+            let host = "localhost".into();
+            let local = MqttSettings::local(port, "verge/k109f");
+            let outcome = probe(&MqttSettings { host, tls, version, ..local });
+            assert_eq!(outcome.is_ok(), accepted, "{outcome:?}");
         }
-        program.map(|program| Self { program })
     }
-
-    fn start(&self, port: u16) -> Running {
-        let child = Command::new(self.program)
-            .args(["-p", &port.to_string()])
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("mosquitto starts");
-        let running = Running(child);
-        let started = Instant::now();
-        while TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err() {
-            assert!(started.elapsed() < PATIENCE, "mosquitto does not listen");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        running
-    }
-}
-
-struct Running(Child);
-
-impl Running {
-    fn kill(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.kill();
-    }
+    let files = TlsFiles { ca: Some(key.clone()), identity: None };
+    let error = Tls::load(&files).expect_err("a key is no certificate").to_string();
+    assert!(error.contains("mqtt.ca_file") && error.contains("localhost.key"), "{error}");
 }
 
 #[test]
 fn mosquitto_sub_receives_what_the_daemon_publishes() {
     let Some(mosquitto) = Mosquitto::installed() else { return };
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
-    let port = free.local_addr().expect("its address").port();
-    drop(free);
+    let port = free_port();
     let _broker = mosquitto.start(port);
     let mut subscription = Command::new("mosquitto_sub")
         .args(["-p", &port.to_string(), "-v", "-t", "verge/k109f/#"])

@@ -30,14 +30,14 @@ fn messages() -> Vec<DensityMessage> {
     assert_eq!(closed.len(), 2);
     let name = verge::lane::Name::try_from("test").expect("short");
     let model = ModelRef { name, sha256: [7; 32] };
-    let mut identity = Identity::new("k109f", table.description(), &model);
-    closed.iter().map(|report| identity.message(report, true)).collect()
+    let identity = Identity::new("k109f", table.description(), &model);
+    (1..).zip(&closed).map(|(seq, report)| identity.message(report, true, seq)).collect()
 }
 
 fn json_lines() -> String {
     let lines: Vec<_> = messages()
         .iter()
-        .map(|message| String::from_utf8(payload::density(message)).expect("JSON"))
+        .map(|message| String::from_utf8(payload::density(message, None)).expect("JSON"))
         .collect();
     lines.join("\n") + "\n"
 }

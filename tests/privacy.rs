@@ -128,7 +128,7 @@ fn largest_message() -> usize {
         calibration: CalibrationRef { id: name.clone(), sha256: [7; 32], rel_err: number },
         model: ModelRef { name, sha256: [7; 32] },
     };
-    payload::density(&message).len()
+    payload::density(&message, Some(false)).len()
 }
 
 /// The inodes of a process's sockets.

@@ -3,6 +3,7 @@
 //! Owns keys, defaults and their checks. `boards/linux/verge.toml` documents every key; a
 //! test holds the two together.
 
+use crate::daemon::publish::TlsFiles;
 use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
 use crate::lane::MAX_NAME;
 use serde::Deserialize;
@@ -69,6 +70,9 @@ pub struct Config {
     /// Where messages go.
     #[serde(default)]
     pub mqtt: Mqtt,
+    /// What is kept until it has arrived.
+    #[serde(default)]
+    pub spool: Spool,
     /// Whether Home Assistant finds the sensor by itself.
     #[serde(default)]
     pub home_assistant: super::publish::home_assistant::Settings,
@@ -83,7 +87,7 @@ pub struct Config {
 pub struct Camera {
     /// Name of the camera; the lane table must be made for it.
     pub id: String,
-    /// `http://` or `https://` address of a snapshot, or a folder of recorded frames.
+    /// Address of a snapshot or of a stream, a device under `/dev`, or a folder of recorded frames.
     pub source: String,
     /// Time between two pictures, s.
     pub interval_s: f64,
@@ -144,6 +148,22 @@ impl Default for Windows {
     }
 }
 
+/// What is kept until it has arrived.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Spool {
+    /// Folder of the windows that the broker has not taken yet.
+    pub folder: PathBuf,
+    /// Time for which windows are kept while the broker is away, days.
+    pub days: f64,
+}
+
+impl Default for Spool {
+    fn default() -> Self {
+        Self { folder: PathBuf::from("spool"), days: 7.0 }
+    }
+}
+
 /// Where messages go.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -152,6 +172,14 @@ pub struct Mqtt {
     pub host: String,
     /// Its port.
     pub port: u16,
+    /// Whether the connection is secured by TLS.
+    pub tls: bool,
+    /// Certificates (PEM) that vouch for the broker, in place of the public ones.
+    pub ca_file: Option<PathBuf>,
+    /// The box's own certificate chain (PEM), where the broker asks for one.
+    pub certificate_file: Option<PathBuf>,
+    /// Its private key (PEM).
+    pub key_file: Option<PathBuf>,
     /// Topic under which this site's topics stand; `verge/<site>` where it is not given.
     pub root: Option<String>,
     /// Client id; made from the root topic where it is not given.
@@ -164,6 +192,10 @@ pub struct Mqtt {
     pub password_file: Option<PathBuf>,
     /// Silence after which the connection is tested, s.
     pub keep_alive_s: u64,
+    /// Version of the protocol, `3.1.1` or `5`.
+    pub version: super::publish::MqttVersion,
+    /// Most windows of an outage that are sent later, a second.
+    pub replay_per_s: f64,
 }
 
 impl Default for Mqtt {
@@ -171,12 +203,18 @@ impl Default for Mqtt {
         Self {
             host: "127.0.0.1".into(),
             port: 1883,
+            tls: false,
+            ca_file: None,
+            certificate_file: None,
+            key_file: None,
             root: None,
             client_id: String::new(),
             format: super::publish::Format::Json,
             user: None,
             password_file: None,
             keep_alive_s: 30,
+            version: super::publish::MqttVersion::V3,
+            replay_per_s: 10.0,
         }
     }
 }
@@ -220,6 +258,19 @@ impl Config {
         secret("mqtt.password_file", user.as_deref(), password_file.as_deref())
     }
 
+    /// The files that secure the connection to the broker, when it is to be secured.
+    ///
+    /// # Errors
+    /// [`ConfigError::Secret`] for a key that others can read.
+    pub fn mqtt_tls(&self) -> Result<Option<TlsFiles>, ConfigError> {
+        let Mqtt { tls, ca_file, certificate_file, key_file, .. } = &self.mqtt;
+        if let Some(key) = key_file.as_ref().filter(|_| *tls) {
+            private("mqtt.key_file", key)?;
+        }
+        let identity = certificate_file.clone().zip(key_file.clone());
+        Ok(tls.then(|| TlsFiles { ca: ca_file.clone(), identity }))
+    }
+
     /// Topic under which this site's topics stand.
     pub fn root_topic(&self) -> String {
         self.mqtt.root.clone().unwrap_or_else(|| format!("verge/{}", self.site))
@@ -230,14 +281,35 @@ impl Config {
         Duration::from_secs_f64(self.camera.interval_s)
     }
 
+    /// Folder of the windows that have not arrived.
+    pub fn spool_folder(&self) -> &Path {
+        &self.spool.folder
+    }
+
+    /// How many windows the spool must hold.
+    pub fn spool_windows(&self) -> u64 {
+        let a_day: u64 = self.windows.lengths_s.iter().map(|&s| 86_400_u64.div_ceil(s)).sum();
+        (a_day as f64 * self.spool.days).ceil() as u64
+    }
+
     fn resolve(&mut self, folder: &Path) {
         let absolute = |path: &mut PathBuf| *path = folder.join(&*path);
         absolute(&mut self.model.file);
         absolute(&mut self.lane_table.file);
+        // Where systemd gives a folder for state, it is meant for this.
+        let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);
+        self.spool.folder = state.join(&self.spool.folder);
         self.camera.password_file.as_mut().map(absolute);
-        self.mqtt.password_file.as_mut().map(absolute);
+        for file in [
+            &mut self.mqtt.password_file,
+            &mut self.mqtt.ca_file,
+            &mut self.mqtt.certificate_file,
+            &mut self.mqtt.key_file,
+        ] {
+            file.as_mut().map(absolute);
+        }
         self.metrics.file.as_mut().map(absolute);
-        if !self.camera.is_snapshot() {
+        if self.camera.kind() == SourceKind::Folder {
             self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
         }
     }
@@ -297,14 +369,54 @@ impl Config {
             self.mqtt.keep_alive_s >= 5,
             "mqtt.keep_alive_s",
             format!("{} s: give at least 5", self.mqtt.keep_alive_s),
+        )?;
+        let Mqtt { tls, ca_file, certificate_file, key_file, .. } = &self.mqtt;
+        known(
+            *tls || (ca_file.is_none() && certificate_file.is_none() && key_file.is_none()),
+            "mqtt.tls",
+            "certificates are named, but the connection is not secured: tls = true".into(),
+        )?;
+        known(
+            certificate_file.is_some() == key_file.is_some(),
+            "mqtt.certificate_file",
+            "a certificate and its key (key_file) go together".into(),
+        )?;
+        known(
+            (0.1..=1000.0).contains(&self.mqtt.replay_per_s),
+            "mqtt.replay_per_s",
+            format!("{}: give 0.1 to 1000", self.mqtt.replay_per_s),
+        )?;
+        known(
+            (0.01..=60.0).contains(&self.spool.days),
+            "spool.days",
+            format!("{}: give 0.01 to 60", self.spool.days),
         )
     }
 }
 
+/// What a camera's source is, by how it begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceKind {
+    /// `http://`, `https://`: asked for one picture after the other.
+    Snapshot,
+    /// `mjpeg+http://`, `mjpeg+https://`: asked once, sends picture after picture.
+    Mjpeg,
+    /// `/dev/`: a device at the box.
+    Device,
+    /// Anything else: recorded frames.
+    Folder,
+}
+
 impl Camera {
-    /// Whether the source is asked over HTTP.
-    pub fn is_snapshot(&self) -> bool {
-        self.source.starts_with("http://") || self.source.starts_with("https://")
+    /// What the source is.
+    pub fn kind(&self) -> SourceKind {
+        let begins = |with: &[&str]| with.iter().any(|start| self.source.starts_with(start));
+        match () {
+            () if begins(&["http://", "https://"]) => SourceKind::Snapshot,
+            () if begins(&["mjpeg+http://", "mjpeg+https://"]) => SourceKind::Mjpeg,
+            () if begins(&["/dev/"]) => SourceKind::Device,
+            () => SourceKind::Folder,
+        }
     }
 }
 
@@ -316,6 +428,13 @@ fn secret(
 ) -> Result<Option<(String, String)>, ConfigError> {
     let Some(user) = user else { return Ok(None) };
     let Some(path) = file else { return Ok(Some((user.to_owned(), String::new()))) };
+    let text = private(key, path)?;
+    let password = text.lines().next().unwrap_or_default();
+    Ok(Some((user.to_owned(), password.to_owned())))
+}
+
+/// The text of a file that nobody else may read.
+fn private(key: &'static str, path: &Path) -> Result<String, ConfigError> {
     let wrong = |reason: String| ConfigError::Secret { key, path: path.to_owned(), reason };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     #[cfg(unix)]
@@ -326,8 +445,7 @@ fn secret(
             return Err(wrong(format!("mode {:03o} lets others read it: chmod 600", mode & 0o777)));
         }
     }
-    let password = text.lines().next().unwrap_or_default();
-    Ok(Some((user.to_owned(), password.to_owned())))
+    Ok(text)
 }
 
 #[cfg(test)]
@@ -360,6 +478,8 @@ mod tests {
             config.mqtt.root = None;
             (config.camera.user, config.camera.password_file) = (None, None);
             (config.mqtt.user, config.mqtt.password_file) = (None, None);
+            (config.mqtt.tls, config.mqtt.ca_file) = (false, None);
+            (config.mqtt.certificate_file, config.mqtt.key_file) = (None, None);
             config.model.score = None;
             config.metrics.file = None;
             format!("{config:?}")
@@ -377,6 +497,10 @@ mod tests {
             ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
             ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
             ("#format = \"json\"", "format = \"xml\"", "xml"),
+            ("#ca_file =", "ca_file =", "mqtt.tls"),
+            ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
+            ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
+            ("#days = 7.0", "days = 90", "spool.days"),
             ("#prefix = \"homeassistant\"", "prefix = \"a/#\"", "home_assistant.prefix"),
         ] {
             let bad = EXAMPLE.replacen(from, to, 1);

@@ -3,10 +3,12 @@
 //! Owns the mapping from errors to exit codes (`sysexits.h`), so that a supervisor can tell
 //! a wrong file from a missing one without reading the message.
 
-use super::capture::{CaptureError, RecordingError, SnapshotError};
+use super::capture::{CaptureError, DeviceError, MjpegError, RecordingError, SnapshotError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
 use super::locate::LocateError;
+use super::publish::TlsError;
+use super::spool::SpoolError;
 use crate::density::AggregateError;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -39,6 +41,12 @@ pub enum Failure {
     /// The camera's address.
     #[error(transparent)]
     Snapshot(#[from] SnapshotError),
+    /// The address of the camera's stream.
+    #[error(transparent)]
+    Mjpeg(#[from] MjpegError),
+    /// The camera's device.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
     /// The model.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -48,6 +56,12 @@ pub enum Failure {
     /// The lane table.
     #[error(transparent)]
     Locate(#[from] LocateError),
+    /// The certificates.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
+    /// The spool.
+    #[error(transparent)]
+    Spool(#[from] SpoolError),
     /// The windows.
     #[error(transparent)]
     Aggregate(#[from] AggregateError),
@@ -133,16 +147,21 @@ impl Failure {
             Self::Recording(_) | Self::DemoFiles { .. } => NOINPUT,
             Self::Capture(CaptureError::Read { .. }) => NOINPUT,
             Self::Capture(CaptureError::Decode { .. }) | Self::NothingMeasured { .. } => DATAERR,
-            Self::Capture(CaptureError::Snapshot(_)) | Self::Snapshot(_) => UNAVAILABLE,
+            Self::Device(DeviceError::NotBuilt { .. }) | Self::Mjpeg(MjpegError::Url { .. }) => {
+                CONFIG
+            }
+            Self::Capture(_) => UNAVAILABLE,
+            Self::Snapshot(_) | Self::Mjpeg(_) | Self::Device(_) => UNAVAILABLE,
             Self::Broker { .. } => UNAVAILABLE,
-            Self::Model(ModelError::Read { .. }) => NOINPUT,
+            Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,
             Self::Model(_) => DATAERR,
             Self::Locate(LocateError::Read { .. }) => NOINPUT,
-            Self::Locate(_) => DATAERR,
+            Self::Locate(_) | Self::Tls(_) => DATAERR,
             Self::Input { .. } => NOINPUT,
             Self::Messages { .. } => DATAERR,
-            Self::Write { .. } => CANTCREAT,
+            Self::Spool(SpoolError::Version(_)) => DATAERR,
+            Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,
             Self::Detect(_) | Self::Internal(_) => SOFTWARE,
         }

@@ -99,10 +99,16 @@ impl Metrics {
         }
         text.family("verge_messages_delivered_total", "counter", "Messages the broker took.");
         text.sample(&[], messages.delivered);
-        text.family("verge_messages_dropped_total", "counter", "Messages lost for want of room.");
+        text.family("verge_messages_dropped_total", "counter", "Windows lost for want of room.");
         text.sample(&[], messages.dropped);
-        text.family("verge_messages_waiting", "gauge", "Messages that wait for the broker.");
+        text.family("verge_messages_refused_total", "counter", "Messages the broker refused.");
+        text.sample(&[], messages.refused);
+        text.family("verge_messages_waiting", "gauge", "Windows that wait for the broker.");
         text.sample(&[], messages.waiting);
+        text.family("verge_messages_in_memory", "gauge", "Waiting windows not on the disk.");
+        text.sample(&[], messages.in_memory);
+        text.family("verge_spool_damaged_total", "counter", "Spool records not readable.");
+        text.sample(&[], messages.damaged);
         if let Some(turn) = self.turn {
             let help = "Time of the latest picture from camera to lanes.";
             text.family("verge_turn_duration_seconds", "gauge", help);
@@ -202,7 +208,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::publish::payload::{Frames, Messages};
+    use crate::daemon::publish::payload::{Frames, Messages, Stream};
     use crate::units::{LaneId, UtcMs};
     use std::collections::{BTreeSet, HashMap};
 
@@ -237,7 +243,8 @@ mod tests {
             uptime_s: 75,
             clock_synced: true,
             frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3 },
-            messages: Messages { delivered: 4, waiting: 5, dropped: 6 },
+            stream: Stream::default(),
+            messages: Messages { delivered: 4, waiting: 5, dropped: 6, ..Messages::default() },
             last_fault: None,
         }
     }

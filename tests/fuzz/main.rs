@@ -6,9 +6,9 @@
 //! with a target's name behind `fuzz` for that one alone. What has been run stands in
 //! `docs/fuzzing.md`.
 //!
-//! Targets: `pictures`, `large_pictures`, `http_answers` (camera), `configurations`, `lane_tables` (files),
-//! `wire_messages`, `json_messages` (messages read back). The recovery of the spool, the
-//! last file that the daemon reads, has its place beside them as `spool_recovery`.
+//! Targets: `pictures`, `large_pictures`, `http_answers` (camera), `configurations`,
+//! `lane_tables`, `spool_recovery` (files), `wire_messages`, `json_messages` (messages read
+//! back).
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -26,6 +26,7 @@ use verge::daemon::config::Config;
 use verge::daemon::export::{Exporter, MessageForm, Place, Target as Format, read};
 use verge::daemon::flow::Picture;
 use verge::daemon::publish::{Identity, payload};
+use verge::daemon::spool::{self, Spool};
 use verge::density::{Aggregator, FrameCounts, LaneReport, SampleZoneStatus, Start};
 use verge::lane::{self, Description, Lane, LaneTable, Name};
 use verge::units::{Direction, ImagePoint, ImageSize, LaneId, UtcMs, VehicleClass};
@@ -339,8 +340,8 @@ fn messages_to_begin_with() -> Vec<DensityMessage> {
     }
     closed.extend(line.miss(UtcMs(1_767_600_120_000), SampleZoneStatus::PoorContrast));
     let model = ModelRef { name: name("model"), sha256: [7; 32] };
-    let mut identity = Identity::new("site", table.description(), &model);
-    closed.iter().map(|report| identity.message(report, true)).collect()
+    let identity = Identity::new("site", table.description(), &model);
+    (1..).zip(&closed).map(|(seq, report)| identity.message(report, true, seq)).collect()
 }
 
 /// Writes a message that was read in every format: none of it may panic.
@@ -377,7 +378,7 @@ fn wire_messages() {
         if let Ok(message) = &result {
             let bytes = wire::encode(message, &mut buffer).expect("what was read can be written");
             assert!(bytes.len() <= wire::MAX_MESSAGE, "{} bytes", bytes.len());
-            let _ = payload::density(message);
+            let _ = payload::density(message, None);
             export(message);
         }
         outcome(result, |message| message_kind(&message))
@@ -389,7 +390,7 @@ fn json_messages() {
     let target = Target {
         name: "json_messages",
         executions: 10_000,
-        corpus: messages_to_begin_with().iter().map(payload::density).collect(),
+        corpus: messages_to_begin_with().iter().map(|m| payload::density(m, None)).collect(),
         tokens: &[
             b"null",
             b"-1",
@@ -418,10 +419,44 @@ fn json_messages() {
         let result = read(MessageForm::Json, input);
         if let Ok(message) = &result {
             export(message);
-            let again = read(MessageForm::Json, &payload::density(message));
+            let again = read(MessageForm::Json, &payload::density(message, None));
             again.expect("what was written can be read");
         }
         outcome(result, |message| message_kind(&message))
+    });
+}
+
+/// A segment as the spool writes it, without the zeros at its end.
+fn segment() -> Vec<u8> {
+    let folder = common::folder();
+    let mut spool = Spool::open(folder.path(), 10).expect("nobody else has it");
+    for message in messages_to_begin_with().iter().cycle().take(4) {
+        let (key, _) = spool.accept(60, |seq| DensityMessage { seq, ..message.clone() });
+        spool.acknowledge(if key == 2 { 1 } else { 0 });
+    }
+    drop(spool);
+    let files = fs::read_dir(folder.path()).expect("a folder");
+    let mut paths = files.map(|entry| entry.expect("an entry").path());
+    let path = paths.find(|path| path.extension().is_some()).expect("a segment");
+    let mut bytes = fs::read(path).expect("readable");
+    bytes.truncate(bytes.iter().rposition(|&byte| byte != 0).expect("records") + 1);
+    bytes
+}
+
+#[test]
+fn spool_recovery() {
+    let target = Target {
+        name: "spool_recovery",
+        executions: 20_000,
+        corpus: vec![segment()],
+        tokens: &[b"VSP\x01", b"VR", b"VR\x01", b"VR\x02\x08\0", b"VR\x03", b"\0\0\0\0"],
+        longest: 1 << 13,
+    };
+    target.run(|_, input| {
+        let found = spool::examine(input);
+        let [windows, notes, damaged] =
+            [found.windows, found.notes, found.damaged as usize].map(magnitude);
+        format!("{windows} windows {notes} notes {damaged} damaged {}", found.torn)
     });
 }
 

@@ -45,6 +45,14 @@ pub enum DecodeError {
     /// More bytes than a camera's picture has.
     #[error("a picture of more than {} bytes", super::MAX_PICTURE_BYTES)]
     TooManyBytes,
+    /// Raw pixels end before the picture does.
+    #[error("a picture of {actual} bytes; in its format and size it has {expected}")]
+    Short {
+        /// Bytes of a whole picture.
+        expected: usize,
+        /// Bytes that came.
+        actual: usize,
+    },
     /// The decoder gave up.
     #[error("the picture is damaged: {0}")]
     Damaged(String),

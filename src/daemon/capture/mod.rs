@@ -1,14 +1,27 @@
 //! Capture: the first stage, from a camera to [`Frame`]s.
 //!
-//! Owns where pictures come from (recorded files, HTTP snapshots), their times, and their
-//! decoding. The door of the crates `image` and `ureq`; their errors stop here.
+//! Owns where pictures come from (recorded files, HTTP snapshots and streams, V4L2
+//! devices), their
+//! times, and their decoding. The door of the crates `image`, `ureq` and `v4l`; their errors
+//! stop here.
 
+pub mod backoff;
 mod decode;
+mod device;
+mod mjpeg;
+pub mod multipart;
+pub mod negotiate;
+pub mod pixels;
+pub mod queue;
 mod recorded;
 mod snapshot;
 mod timestamp;
+#[cfg(all(feature = "v4l2", target_os = "linux"))]
+mod v4l2;
 
 pub use decode::{DecodeError, MAX_PICTURE, decode};
+pub use device::{DEFAULT_SIZE, DeviceError, DeviceSettings};
+pub use mjpeg::{Mjpeg, MjpegError, MjpegSettings, SCHEME as MJPEG_SCHEME};
 pub use recorded::{Recorded, RecordingError};
 pub use snapshot::{Credentials, Snapshot, SnapshotError, SnapshotSettings};
 
@@ -52,6 +65,23 @@ pub enum CaptureError {
     /// The camera did not give a snapshot.
     #[error(transparent)]
     Snapshot(#[from] SnapshotError),
+    /// The camera's stream did not give a picture.
+    #[error(transparent)]
+    Mjpeg(#[from] MjpegError),
+    /// A device did not give a picture.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
+/// What became of a stream's frames since start, beside those that were measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StreamCounts {
+    /// Marked as damaged by the driver, and passed over.
+    pub flagged: u64,
+    /// Missing between two sequence numbers while the driver had a buffer for them.
+    pub lost: u64,
+    /// Times that the stream was given up and opened again.
+    pub reopened: u64,
 }
 
 impl CaptureError {
@@ -68,9 +98,35 @@ pub enum Source {
     Recorded(Recorded),
     /// A camera that answers HTTP requests with a picture.
     Snapshot(Box<Snapshot>),
+    /// A camera that answers one HTTP request with picture after picture.
+    Mjpeg(Box<Mjpeg>),
+    /// A camera at the box.
+    #[cfg(all(feature = "v4l2", target_os = "linux"))]
+    Device(Box<v4l2::V4l2>),
 }
 
 impl Source {
+    /// A camera at the box. It may be absent now and come later.
+    ///
+    /// # Errors
+    /// [`DeviceError::NotBuilt`] where this program knows no devices.
+    pub fn device(settings: DeviceSettings) -> Result<Self, DeviceError> {
+        #[cfg(all(feature = "v4l2", target_os = "linux"))]
+        return Ok(Self::Device(Box::new(v4l2::V4l2::new(settings))));
+        #[cfg(not(all(feature = "v4l2", target_os = "linux")))]
+        Err(DeviceError::NotBuilt { path: settings.path })
+    }
+
+    /// What became of a stream's frames; all 0 where there is no stream.
+    pub fn counts(&self) -> StreamCounts {
+        match self {
+            Self::Recorded(_) | Self::Snapshot(_) => StreamCounts::default(),
+            Self::Mjpeg(mjpeg) => mjpeg.counts(),
+            #[cfg(all(feature = "v4l2", target_os = "linux"))]
+            Self::Device(device) => device.counts(),
+        }
+    }
+
     /// Fills `frame` with the next picture.
     ///
     /// # Errors
@@ -79,6 +135,9 @@ impl Source {
         match self {
             Self::Recorded(recorded) => recorded.next(frame),
             Self::Snapshot(snapshot) => snapshot.next(frame),
+            Self::Mjpeg(mjpeg) => mjpeg.next(frame),
+            #[cfg(all(feature = "v4l2", target_os = "linux"))]
+            Self::Device(device) => device.next(frame),
         }
     }
 
@@ -87,6 +146,9 @@ impl Source {
         match self {
             Self::Recorded(recorded) => recorded.interval(),
             Self::Snapshot(snapshot) => snapshot.interval(),
+            Self::Mjpeg(mjpeg) => mjpeg.interval(),
+            #[cfg(all(feature = "v4l2", target_os = "linux"))]
+            Self::Device(device) => device.interval(),
         }
     }
 }

@@ -83,7 +83,8 @@ pub enum SnapshotError {
     },
 }
 
-const fn hint(status: u16) -> &'static str {
+/// What to do about a status, for the end of a message.
+pub(super) const fn hint(status: u16) -> &'static str {
     match status {
         401 | 403 => "; check camera.user and camera.password_file",
         404 => "; check the path in camera.source",
@@ -209,7 +210,7 @@ impl Sent {
 }
 
 /// The `Authorization` header of RFC 7617.
-fn basic(credentials: &Credentials) -> Option<HeaderValue> {
+pub(super) fn basic(credentials: &Credentials) -> Option<HeaderValue> {
     let text = format!("{}:{}", credentials.user, credentials.password);
     let mut value = HeaderValue::from_str(&format!("Basic {}", BASE64.encode(text))).ok()?;
     value.set_sensitive(true);

@@ -23,7 +23,7 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         let (model, table) = line.describe();
         format!("{model}; {table}")
     });
-    let frame = report.line("camera", first_picture(&config), |frame| {
+    let frame = report.line("camera", first_picture(&config, line.as_ref()), |frame| {
         format!("{}: {}x{} px", config.camera.source, frame.picture.width, frame.picture.height)
     });
     if let (Some(mut line), Some(frame)) = (line, frame) {

@@ -4,10 +4,9 @@ use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::metrics::Metrics;
-use crate::daemon::publish::Publisher;
 use crate::daemon::publish::home_assistant::{self, Announcement};
-use crate::daemon::publish::payload::{self, Frames, Messages, status_name};
-use crate::daemon::{Station, open_publisher};
+use crate::daemon::publish::payload::{self, Frames, Messages, Stream, status_name};
+use crate::daemon::{Outlet, Station, open_outlet};
 use crate::density::{Closed, SampleZoneStatus};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use crate::health::{Actions, Alarm, Event, Health};
@@ -32,9 +31,9 @@ where
     let config = Config::read(config)?;
     let stop = stop_flag()?;
     let station = Station::open(&config)?;
-    let publisher = open_publisher(&config, &station.line)?;
+    let outlet = open_outlet(&config, &station.line)?;
     log::info!("site {}: measuring every {:?}", config.site, config.interval());
-    let mut sensor = Sensor::new(&config, station, publisher);
+    let mut sensor = Sensor::new(&config, station, outlet);
     let mut next = Instant::now();
     while !stop.load(Ordering::Relaxed) {
         let mut event = None;
@@ -47,7 +46,7 @@ where
         std::thread::sleep(next.saturating_duration_since(Instant::now()).min(TICK));
     }
     log::info!("stopping");
-    sensor.publisher.stop();
+    sensor.outlet.stop();
     Ok(())
 }
 
@@ -85,7 +84,7 @@ where
 struct Sensor {
     site: String,
     station: Station,
-    publisher: Publisher,
+    outlet: Outlet,
     started: Instant,
     health: Health,
     actions: Option<Actions>,
@@ -94,16 +93,16 @@ struct Sensor {
     health_sent: Option<Instant>,
     metrics: Option<Metrics>,
     announcements: Vec<Announcement>,
-    announced: u64,
+    announced: Option<u64>,
 }
 
 impl Sensor {
-    fn new(config: &Config, mut station: Station, publisher: Publisher) -> Self {
+    fn new(config: &Config, mut station: Station, outlet: Outlet) -> Self {
         let announcements = announcements(config, &mut station);
         Self {
             site: config.site.clone(),
             station,
-            publisher,
+            outlet,
             started: Instant::now(),
             health: Health::new(config.interval(), Duration::ZERO),
             actions: None,
@@ -112,7 +111,7 @@ impl Sensor {
             health_sent: None,
             metrics: config.metrics.file.as_deref().map(Metrics::new),
             announcements,
-            announced: 0,
+            announced: None,
         }
     }
 
@@ -163,6 +162,7 @@ impl Sensor {
     fn settle(&mut self, event: Option<Event>) -> Actions {
         let closed = self.station.line.counting().windows().advance(clock::now());
         self.publish(&closed);
+        self.outlet.tend();
         let since_start = self.started.elapsed();
         let actions = match event {
             Some(event) => self.health.on(event, since_start),
@@ -185,7 +185,7 @@ impl Sensor {
 
     fn publish(&mut self, closed: &Closed) {
         for report in closed {
-            self.publisher.density(report, clock::is_synchronised());
+            self.outlet.density(report, clock::is_synchronised());
             if let Some(metrics) = &mut self.metrics {
                 metrics.note(report);
             }
@@ -195,10 +195,11 @@ impl Sensor {
     /// Says to Home Assistant what there is, after each connection: the broker may have
     /// lost what it kept.
     fn announce(&mut self) {
-        let connections = self.publisher.statistics().connections.load(Ordering::Relaxed);
-        if connections != std::mem::replace(&mut self.announced, connections) {
+        let publisher = self.outlet.publisher();
+        let session = publisher.session();
+        if session.is_some() && session != std::mem::replace(&mut self.announced, session) {
             for announcement in &self.announcements {
-                self.publisher.announce(announcement.clone());
+                publisher.announce(announcement.clone());
             }
         }
     }
@@ -211,12 +212,16 @@ impl Sensor {
             log::info!("alarm {name} is over");
         }
         let time = clock::rfc3339(clock::now());
-        self.publisher.alarm(name, &payload::Alarm { site: &self.site, time, name, active });
+        self.outlet
+            .publisher()
+            .alarm(name, &payload::Alarm { site: &self.site, time, name, active });
     }
 
     fn publish_health(&mut self, actions: Actions) {
         let now: UtcMs = clock::now();
-        let statistics = self.publisher.statistics();
+        let (delivered, refused) = self.outlet.publisher().counts();
+        let spool = self.outlet.counts();
+        let stream = self.station.source.counts();
         let health = payload::Health {
             site: &self.site,
             time: clock::rfc3339(now),
@@ -226,16 +231,24 @@ impl Sensor {
             uptime_s: self.started.elapsed().as_secs(),
             clock_synced: clock::is_synchronised(),
             frames: self.frames,
+            stream: Stream {
+                flagged: stream.flagged,
+                lost: stream.lost,
+                reopened: stream.reopened,
+            },
             messages: Messages {
-                delivered: statistics.delivered.load(Ordering::Relaxed),
-                waiting: statistics.waiting.load(Ordering::Relaxed),
-                dropped: statistics.dropped.load(Ordering::Relaxed),
+                delivered,
+                refused,
+                waiting: spool.waiting,
+                in_memory: spool.in_memory,
+                dropped: spool.dropped,
+                damaged: spool.damaged,
             },
             last_fault: self.last_fault.as_deref(),
         };
-        self.publisher.health(&health);
+        self.outlet.publisher().health(&health);
         if let Some(metrics) = &mut self.metrics {
-            metrics.write(&health, statistics.connected.load(Ordering::Relaxed));
+            metrics.write(&health, self.outlet.is_open());
         }
     }
 }

@@ -69,7 +69,7 @@ impl Exporter {
             Target::Datex2 => datex2::site_measurements(message),
             Target::Ntcip => ntcip::zones(message),
             Target::Csv => csv::rows(message),
-            Target::Json => String::from_utf8_lossy(&payload::density(message)).into_owned(),
+            Target::Json => String::from_utf8_lossy(&payload::density(message, None)).into_owned(),
         }
     }
 

@@ -246,7 +246,7 @@ mod tests {
     use crate::daemon::publish::payload;
 
     fn changed(from: &str, to: &str) -> Result<DensityMessage, ReadError> {
-        let text = String::from_utf8(payload::density(&message())).expect("JSON");
+        let text = String::from_utf8(payload::density(&message(), None)).expect("JSON");
         assert!(text.contains(from), "{from} in {text}");
         read(MessageForm::Json, text.replacen(from, to, 1).as_bytes())
     }

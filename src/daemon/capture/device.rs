@@ -1,0 +1,104 @@
+//! A camera at the box: what it is asked for, and why it gives no picture.
+//!
+//! Owns settings and errors, which are the same whether V4L2 is built in or not. Where it
+//! is not, a device is refused with the reason.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Size that is asked for where the lane table is not known, px.
+pub const DEFAULT_SIZE: (u32, u32) = (640, 480);
+
+/// Which device is read, and how.
+#[derive(Clone, Debug)]
+pub struct DeviceSettings {
+    /// The device node. A name under `/dev/v4l/by-id` or `by-path` stays when the camera
+    /// comes back under another number.
+    pub path: PathBuf,
+    /// Wanted columns and rows, px: the lane table's.
+    pub size: (u32, u32),
+    /// Time between two pictures that are taken.
+    pub interval: Duration,
+    /// Longest wait for a frame.
+    pub timeout: Duration,
+}
+
+/// Why a device gave no picture.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// This program knows no devices.
+    #[error(
+        "camera.source {}: this verge was built without V4L2; build it with --features v4l2, \
+         or give an address or a folder",
+        path.display()
+    )]
+    NotBuilt {
+        /// The device.
+        path: PathBuf,
+    },
+    /// It cannot be opened.
+    #[error("{}: {reason}; is the camera plugged in, and may verge read it (group video)?", path.display())]
+    Open {
+        /// The device.
+        path: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// It opens, but is no camera.
+    #[error("{}: not a camera that streams ({card}); is it the right node?", path.display())]
+    NotACamera {
+        /// The device.
+        path: PathBuf,
+        /// What it says it is.
+        card: String,
+    },
+    /// It has no format and size that can be used.
+    #[error(
+        "{}: no YUYV, NV12, MJPG or GREY in the shape of {}x{} px; it offers {offered}",
+        path.display(), wanted.0, wanted.1
+    )]
+    NothingFits {
+        /// The device.
+        path: PathBuf,
+        /// The wanted size.
+        wanted: (u32, u32),
+        /// What there is.
+        offered: String,
+    },
+    /// It took another format than the one that it was asked for.
+    #[error("{}: asked for {asked}, it gives {given}", path.display())]
+    OtherFormat {
+        /// The device.
+        path: PathBuf,
+        /// What was asked for.
+        asked: String,
+        /// What it said then.
+        given: String,
+    },
+    /// No frame in time.
+    #[error("{}: no frame for {:.1} s", path.display(), timeout.as_secs_f32())]
+    Timeout {
+        /// The device.
+        path: PathBuf,
+        /// How long was waited.
+        timeout: Duration,
+    },
+    /// A step of streaming failed; the device may be gone.
+    #[error("{}: {step}: {reason}", path.display())]
+    Stream {
+        /// The device.
+        path: PathBuf,
+        /// Which step.
+        step: &'static str,
+        /// What the system says.
+        reason: String,
+    },
+    /// Every frame was marked as damaged.
+    #[error("{}: {frames} frames in a row are marked as damaged", path.display())]
+    Flagged {
+        /// The device.
+        path: PathBuf,
+        /// How many.
+        frames: u32,
+    },
+}

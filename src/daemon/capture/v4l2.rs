@@ -1,0 +1,388 @@
+//! Cameras on V4L2: the only file that names the crate `v4l`.
+//!
+//! Owns opening (format, size and rate by [`negotiate`]), the stream of memory-mapped
+//! buffers, and its end. A stream is never mended: on any error it is dropped, and a new one
+//! is opened from the device's path, so that a camera may come back under another number.
+//!
+//! Three habits of the crate are met here. It panics where a driver answers with something
+//! that it does not know, and when a stream cannot be stopped: every call is made behind
+//! [`guarded`]. After a failed `next` it would queue a buffer that the kernel owns: hence
+//! "never mended". `S_FMT` changes what it cannot do: the answer is compared.
+
+use super::backoff::Backoff;
+use super::device::{DeviceError, DeviceSettings};
+use super::negotiate::{self, Choice, Encoding, FrameTime, Offer};
+use super::pixels::{self, Colour, Layout};
+use super::queue::{BUFFERS, Question, Sequence};
+use super::{CaptureError, Captured, DecodeError, MAX_PICTURE, StreamCounts, decode};
+use crate::daemon::clock;
+use crate::daemon::flow::{Frame, Picture};
+use std::hash::{DefaultHasher, Hasher};
+use std::io::{Error, ErrorKind};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
+use v4l::buffer::{Flags, Type};
+use v4l::capability::Flags as Can;
+use v4l::format::{Colorspace, Quantization};
+use v4l::frameinterval::FrameIntervalEnum;
+use v4l::framesize::FrameSizeEnum;
+use v4l::io::mmap::Stream;
+use v4l::io::traits::{CaptureStream, Stream as _};
+use v4l::video::Capture;
+use v4l::video::capture::Parameters;
+use v4l::{Device, Format, FourCC, Fraction};
+
+/// Frames in a row that may be marked as damaged before the stream is given up.
+const MOST_FLAGGED: u32 = 8;
+
+/// A camera that is read through V4L2.
+#[derive(Debug)]
+pub struct V4l2 {
+    settings: DeviceSettings,
+    open: Option<Open>,
+    asked: Instant,
+    backoff: Backoff,
+    last_error: Option<DeviceError>,
+    last_digest: Option<u64>,
+    counts: StreamCounts,
+}
+
+impl V4l2 {
+    /// A camera; it is opened when the first picture is asked for, and may be absent.
+    pub fn new(settings: DeviceSettings) -> Self {
+        Self {
+            settings,
+            open: None,
+            asked: Instant::now(),
+            backoff: Backoff::default(),
+            last_error: None,
+            last_digest: None,
+            counts: StreamCounts::default(),
+        }
+    }
+
+    /// What became of the stream's frames since start.
+    pub fn counts(&self) -> StreamCounts {
+        self.counts
+    }
+
+    /// Time between two pictures.
+    pub fn interval(&self) -> Duration {
+        self.settings.interval
+    }
+
+    pub(super) fn next(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
+        if let Some(error) = &self.last_error
+            && self.backoff.waits(Instant::now())
+        {
+            return Err(error.clone().into());
+        }
+        let outcome = self.take(frame);
+        match &outcome {
+            // A frame that does not decode says nothing about the stream.
+            Ok(_) | Err(CaptureError::Decode { .. }) => {
+                self.backoff.succeeded();
+                self.last_error = None;
+            }
+            Err(error) => {
+                self.counts.reopened += u64::from(self.open.take().is_some());
+                self.backoff.failed(Instant::now(), 0.0);
+                if let CaptureError::Device(error) = error {
+                    self.last_error = Some(error.clone());
+                }
+            }
+        }
+        outcome
+    }
+
+    fn take(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
+        let Self { settings, open, asked, last_digest, counts, .. } = self;
+        let since_last = asked.elapsed();
+        *asked = Instant::now();
+        let open = match open {
+            Some(open) => open,
+            closed => closed.insert(guarded(settings, "opening", || Open::new(settings))?),
+        };
+        guarded(settings, "taking a frame", || {
+            open.newest(settings, Question::new(since_last), counts, |open, bytes| {
+                let mut hasher = DefaultHasher::new();
+                hasher.write(bytes);
+                let digest = hasher.finish();
+                if last_digest.replace(digest) == Some(digest) {
+                    return Ok(Captured::Unchanged);
+                }
+                frame.time = clock::now();
+                "device".clone_into(&mut frame.name);
+                open.convert(bytes, &mut frame.picture).map_err(|source| CaptureError::Decode {
+                    name: settings.path.display().to_string(),
+                    source,
+                })?;
+                Ok(Captured::New)
+            })
+        })
+    }
+}
+
+/// How the bytes of a stream become a picture.
+#[derive(Clone, Copy, Debug)]
+struct Given {
+    encoding: Encoding,
+    layout: Layout,
+    colour: Colour,
+}
+
+impl Given {
+    fn convert(&self, bytes: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+        match self.encoding {
+            Encoding::Yuyv => pixels::yuyv(bytes, self.layout, self.colour, picture),
+            Encoding::Nv12 => pixels::nv12(bytes, self.layout, self.colour, picture),
+            Encoding::Grey => pixels::grey(bytes, self.layout, picture),
+            Encoding::Mjpg => decode(bytes, picture),
+        }
+    }
+}
+
+/// A stream that runs.
+struct Open {
+    stream: Stopping,
+    given: Given,
+    sequence: Sequence,
+}
+
+impl std::fmt::Debug for Open {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Open").field("given", &self.given).finish_non_exhaustive()
+    }
+}
+
+impl Open {
+    fn new(settings: &DeviceSettings) -> Result<Self, CaptureError> {
+        let path = || settings.path.clone();
+        let device = Device::with_path(&settings.path)
+            .map_err(|error| DeviceError::Open { path: path(), reason: error.to_string() })?;
+        let about = device.query_caps().map_err(|e| failed(settings, "QUERYCAP", &e))?;
+        if !about.capabilities.contains(Can::VIDEO_CAPTURE | Can::STREAMING) {
+            return Err(DeviceError::NotACamera { path: path(), card: about.card }.into());
+        }
+        let offers = offers(&device, settings)?;
+        let least = negotiate::least_rate(settings.interval);
+        let choice = negotiate::choose(&offers, settings.size, least).ok_or_else(|| {
+            let offered = describe(&offers);
+            DeviceError::NothingFits { path: path(), wanted: settings.size, offered }
+        })?;
+        let given = set(&device, settings, choice)?;
+        let mut stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS)
+            .map_err(|e| failed(settings, "REQBUFS", &e))?;
+        stream.set_timeout(settings.timeout);
+        log::info!("{}: {} as {given:?}", settings.path.display(), about.card);
+        Ok(Self { stream: Stopping(Some(stream)), given, sequence: Sequence::default() })
+    }
+
+    /// Takes the newest frame that is not marked as damaged.
+    fn newest<T>(
+        &mut self,
+        settings: &DeviceSettings,
+        mut question: Question,
+        counts: &mut StreamCounts,
+        mut take: impl FnMut(Given, &[u8]) -> Result<T, CaptureError>,
+    ) -> Result<T, CaptureError> {
+        let stream = self.stream.0.as_mut().expect("it is taken out only when it is dropped");
+        let handle = stream.handle();
+        let waits = || handle.poll(libc::POLLIN, 0).is_ok_and(|ready| ready > 0);
+        let mut flagged = 0;
+        loop {
+            // Before the first frame the stream does not run and polls as an error.
+            let waited = !self.sequence.is_new() && waits();
+            let (bytes, meta) = stream.next().map_err(|error| match error.kind() {
+                ErrorKind::TimedOut => {
+                    let DeviceSettings { path, timeout, .. } = settings.clone();
+                    DeviceError::Timeout { path, timeout }.into()
+                }
+                _ => failed(settings, "DQBUF", &error),
+            })?;
+            let passes = question.passes(waited, waits());
+            counts.lost += self.sequence.lost(meta.sequence, question.starved());
+            if meta.flags.contains(Flags::ERROR) {
+                counts.flagged += 1;
+                flagged += 1;
+                if flagged == MOST_FLAGGED {
+                    let path = settings.path.clone();
+                    return Err(DeviceError::Flagged { path, frames: flagged }.into());
+                }
+            } else if !passes {
+                let used = bytes.len().min(meta.bytesused as usize);
+                return take(self.given, &bytes[..used]);
+            }
+        }
+    }
+}
+
+/// A stream whose end cannot take the daemon with it.
+struct Stopping(Option<Stream<'static>>);
+
+impl Drop for Stopping {
+    fn drop(&mut self) {
+        let Some(mut stream) = self.0.take() else { return };
+        // The crate panics in `drop` where the stream cannot be stopped, twice where the
+        // buffers cannot be given back either, and the second ends the process. So it is
+        // stopped here; one that does not stop is kept, and its device stays busy.
+        match stream.stop() {
+            Err(error) if error.raw_os_error() != Some(libc::ENODEV) => {
+                log::error!("a stream cannot be stopped and is left behind: {error}");
+                std::mem::forget(stream);
+            }
+            _ => {
+                let _ = catch_unwind(AssertUnwindSafe(move || drop(stream)));
+            }
+        }
+    }
+}
+
+/// Makes a panic of the crate an error like its others.
+fn guarded<T>(
+    settings: &DeviceSettings,
+    step: &'static str,
+    call: impl FnOnce() -> Result<T, CaptureError>,
+) -> Result<T, CaptureError> {
+    catch_unwind(AssertUnwindSafe(call)).unwrap_or_else(|_| {
+        let reason = "the driver gave an answer that the V4L2 library does not know".to_owned();
+        Err(DeviceError::Stream { path: settings.path.clone(), step, reason }.into())
+    })
+}
+
+fn failed(settings: &DeviceSettings, step: &'static str, error: &Error) -> CaptureError {
+    let (path, reason) = (settings.path.clone(), error.to_string());
+    DeviceError::Stream { path, step, reason }.into()
+}
+
+/// What the camera offers of what is read here.
+fn offers(device: &Device, settings: &DeviceSettings) -> Result<Vec<Offer>, CaptureError> {
+    let formats = device.enum_formats().map_err(|e| failed(settings, "ENUM_FMT", &e))?;
+    let mut offers = Vec::new();
+    for encoding in Encoding::ALL {
+        let fourcc = FourCC::new(&encoding.fourcc());
+        if !formats.iter().any(|format| format.fourcc == fourcc) {
+            continue;
+        }
+        for listed in device.enum_framesizes(fourcc).unwrap_or_default() {
+            let size = match listed.size {
+                FrameSizeEnum::Discrete(size) => (size.width, size.height),
+                // Any size in steps: the wanted one, as near as the steps allow.
+                FrameSizeEnum::Stepwise(s) => (
+                    stepped(settings.size.0, s.min_width, s.max_width, s.step_width),
+                    stepped(settings.size.1, s.min_height, s.max_height, s.step_height),
+                ),
+            };
+            if size.0 <= MAX_PICTURE.0 && size.1 <= MAX_PICTURE.1 && size.0 > 0 && size.1 > 0 {
+                offers.push(Offer { encoding, size, times: times(device, fourcc, size) });
+            }
+        }
+    }
+    Ok(offers)
+}
+
+/// The value nearest to `wanted` in a range with steps.
+fn stepped(wanted: u32, least: u32, most: u32, step: u32) -> u32 {
+    let wanted = wanted.clamp(least, most.max(least));
+    least + (wanted - least).next_multiple_of(step.max(1)).min(most.max(least) - least)
+}
+
+fn times(device: &Device, fourcc: FourCC, (width, height): (u32, u32)) -> Vec<FrameTime> {
+    let time = |f: Fraction| FrameTime { numerator: f.numerator, denominator: f.denominator };
+    let listed = device.enum_frameintervals(fourcc, width, height).unwrap_or_default();
+    listed
+        .into_iter()
+        .flat_map(|listed| match listed.interval {
+            FrameIntervalEnum::Discrete(fraction) => vec![time(fraction)],
+            FrameIntervalEnum::Stepwise(steps) => vec![time(steps.min), time(steps.max)],
+        })
+        .collect()
+}
+
+fn describe(offers: &[Offer]) -> String {
+    let mut text: Vec<_> =
+        offers.iter().map(|o| format!("{:?} {}x{}", o.encoding, o.size.0, o.size.1)).collect();
+    text.dedup();
+    if text.is_empty() { "none of these formats".to_owned() } else { text.join(", ") }
+}
+
+/// Asks for a format and rate, and holds the camera to the format.
+fn set(device: &Device, settings: &DeviceSettings, choice: Choice) -> Result<Given, CaptureError> {
+    let (width, height) = choice.size;
+    let fourcc = FourCC::new(&choice.encoding.fourcc());
+    // A format that was read back and changed would keep the old one's stride.
+    let given = device
+        .set_format(&Format::new(width, height, fourcc))
+        .map_err(|e| failed(settings, "S_FMT", &e))?;
+    if given.fourcc != fourcc || (given.width, given.height) != choice.size {
+        return Err(DeviceError::OtherFormat {
+            path: settings.path.clone(),
+            asked: format!("{fourcc} {width}x{height}"),
+            given: format!("{} {}x{}", given.fourcc, given.width, given.height),
+        }
+        .into());
+    }
+    if let Some(FrameTime { numerator, denominator }) = choice.time {
+        let wanted = Parameters::new(Fraction::new(numerator, denominator));
+        // A camera that keeps its own rate is read at that.
+        if let Err(error) = device.set_params(&wanted) {
+            log::debug!("{}: S_PARM: {error}", settings.path.display());
+        }
+    }
+    let colour = match (given.colorspace, given.quantization) {
+        (Colorspace::Rec709, _) => Colour::Bt709,
+        (Colorspace::JPEG, _) | (_, Quantization::FullRange) => Colour::Bt601Full,
+        _ => Colour::Bt601,
+    };
+    let (width, height) = (width as usize, height as usize);
+    let layout = Layout { width, height, stride: given.stride as usize };
+    Ok(Given { encoding: choice.encoding, layout, colour })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(path: &str) -> V4l2 {
+        V4l2::new(DeviceSettings {
+            path: path.into(),
+            size: (640, 480),
+            interval: Duration::from_secs(1),
+            timeout: Duration::from_secs(1),
+        })
+    }
+
+    #[test]
+    fn an_absent_camera_is_an_error_each_time_and_asked_for_again_later() {
+        let mut camera = camera("/dev/v4l/by-id/none");
+        for _ in 0..2 {
+            let error = camera.next(&mut Frame::default()).expect_err("none is there");
+            assert!(!error.is_damage());
+            let text = error.to_string();
+            assert!(text.contains("/dev/v4l/by-id/none") && text.contains("plugged in"), "{text}");
+        }
+        assert_eq!(camera.counts(), StreamCounts::default(), "nothing was open");
+    }
+
+    #[test]
+    fn a_node_that_is_no_camera_is_named() {
+        let error = camera("/dev/null").next(&mut Frame::default()).expect_err("no camera");
+        assert!(error.to_string().contains("QUERYCAP"), "{error}");
+    }
+
+    #[test]
+    fn a_panic_of_the_library_is_an_error() {
+        let camera = camera("/dev/video0");
+        let error = guarded(&camera.settings, "opening", || -> Result<(), _> { panic!("odd") });
+        let text = error.expect_err("it panicked").to_string();
+        assert!(text.contains("/dev/video0: opening"), "{text}");
+    }
+
+    #[test]
+    fn steps_are_kept() {
+        assert_eq!(stepped(640, 48, 1920, 2), 640);
+        assert_eq!(stepped(641, 48, 1920, 16), 656);
+        assert_eq!(stepped(9, 48, 1920, 0), 48);
+        assert_eq!(stepped(4000, 48, 1920, 16), 1920);
+    }
+}

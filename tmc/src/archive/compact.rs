@@ -1,0 +1,244 @@
+//! From the journal into the archive: each window once, whatever arrives twice.
+//!
+//! A partition's file is read, the windows that it lacks are added, and it is replaced as a
+//! whole; a segment goes when all its windows are in their files. A crash in between repeats
+//! the work and changes nothing. A lock on the archive lets several archivers share it.
+
+use super::journal;
+use crate::failure::Failure;
+use crate::message::{Window, status_number};
+use crate::store::{self, DAY_MS, Partition, Row};
+use crate::whole;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::path::Path;
+
+/// What a compaction did.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Done {
+    /// Windows added to the archive.
+    pub windows: usize,
+    /// Messages of windows that were there already.
+    pub duplicates: usize,
+    /// Messages that could not be read; they lie in `_rejected`.
+    pub rejected: usize,
+    /// Gaps in the numbers of messages that remain in the days that were touched.
+    pub gaps: Vec<Gap>,
+}
+
+/// Messages that are missing between two windows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// Whose.
+    pub site: String,
+    /// Length of the windows, s.
+    pub window_s: i32,
+    /// Beginning of the window after which they are missing, ms since 1970.
+    pub after_ms: i64,
+    /// How many.
+    pub missing: i64,
+}
+
+/// Moves closed segments into the archive under `root`.
+///
+/// # Errors
+/// [`Failure`]; the segments then stay and are tried again.
+pub fn compact(root: &Path, segments: &[std::path::PathBuf]) -> Result<Done, Failure> {
+    let mut done = Done::default();
+    for segment in segments {
+        let (payloads, torn) = journal::read(segment)?;
+        if torn > 0 {
+            eprintln!("verge-tmc: {} ends in {torn} torn bytes: cut", segment.display());
+        }
+        let mut days: BTreeMap<Partition, Vec<Window>> = BTreeMap::new();
+        let mut rejected = Vec::new();
+        for payload in payloads {
+            match Window::parse(&payload) {
+                Ok(window) => {
+                    let day = window.from_ms().div_euclid(DAY_MS);
+                    let partition = Partition { site: window.site.clone(), day };
+                    days.entry(partition).or_default().push(window);
+                }
+                Err(reason) => {
+                    if done.rejected == 0 {
+                        eprintln!("verge-tmc: a message is rejected: it {reason}");
+                    }
+                    done.rejected += 1;
+                    rejected.extend(payload);
+                    rejected.push(b'\n');
+                }
+            }
+        }
+        let name = |path: Option<&Path>| {
+            path.and_then(Path::file_stem).unwrap_or_default().to_string_lossy().into_owned()
+        };
+        if !rejected.is_empty() {
+            let own = format!("{}-{}.txt", name(segment.parent()), name(Some(segment)));
+            whole::write(&root.join("_rejected").join(own), &rejected)?;
+        }
+        let path = root.join("_lock");
+        let lock = File::create(&path).map_err(|source| Failure::writing(&path, source))?;
+        lock.lock().map_err(|source| Failure::writing(&path, source))?;
+        for (partition, windows) in days {
+            merge(root, &partition, &windows, &mut done)?;
+        }
+        fs::remove_file(segment).map_err(|source| Failure::writing(segment, source))?;
+    }
+    Ok(done)
+}
+
+fn merge(
+    root: &Path,
+    partition: &Partition,
+    windows: &[Window],
+    done: &mut Done,
+) -> Result<(), Failure> {
+    let path = partition.path(root);
+    let mut rows = if path.exists() { store::read(&path)? } else { Vec::new() };
+    let mut there: BTreeSet<(i32, i64)> =
+        rows.iter().map(|row| (row.window_s, row.from_ms)).collect();
+    let before = there.len();
+    for window in windows {
+        if there.insert((window.window_s as i32, window.from_ms())) {
+            rows.extend(of_window(window));
+        } else {
+            done.duplicates += 1;
+        }
+    }
+    if there.len() > before {
+        done.windows += there.len() - before;
+        rows.sort_by_key(Row::key);
+        store::write(&path, &rows)?;
+    }
+    done.gaps.retain(|gap| gap.site != partition.site || gap.after_ms / DAY_MS != partition.day);
+    done.gaps.extend(gaps(&partition.site, &rows));
+    Ok(())
+}
+
+/// The rows of a window: its lanes, then their cells.
+pub fn of_window(window: &Window) -> Vec<Row> {
+    let mut rows = Vec::new();
+    for lane in &window.lanes {
+        let row = Row {
+            window_s: window.window_s as i32,
+            from_ms: window.from_ms(),
+            lane: i32::from(lane.lane),
+            cell: None,
+            position_m: None,
+            length_m: lane.length_m,
+            density: lane.density_veh_km,
+            se: lane.density_se,
+            vehicles: lane.vehicles_mean,
+            occupancy: lane.space_occupancy,
+            frames_used: lane.frames_used as i32,
+            frames_expected: lane.frames_expected as i32,
+            status: status_number(&lane.status).unwrap_or_default(),
+            seq: window.seq as i64,
+            clock_synced: window.clock_synced,
+            rel_err: window.calibration.rel_err,
+        };
+        rows.push(row.clone());
+        let Some(cells) = &lane.cells else { continue };
+        for (cell, density) in cells.density_veh_km.iter().enumerate() {
+            let begin = cell as f32 * cells.length_m;
+            let length_m = cells.length_m.min(lane.length_m - begin).max(0.0);
+            rows.push(Row {
+                cell: Some(cell as i32),
+                position_m: Some(begin),
+                length_m,
+                density: *density,
+                se: None,
+                vehicles: density.map(|density| density * length_m / 1000.0),
+                occupancy: None,
+                ..row.clone()
+            });
+        }
+    }
+    rows.sort_by_key(Row::key);
+    rows
+}
+
+/// Gaps in the numbers of the messages of sorted rows. A number that is not above the one
+/// before it is a box that was started again.
+pub fn gaps(site: &str, rows: &[Row]) -> Vec<Gap> {
+    let mut found = Vec::new();
+    for pair in rows.windows(2) {
+        let [before, after] = pair else { continue };
+        if before.cell.is_some() || after.cell.is_some() || before.window_s != after.window_s {
+            continue;
+        }
+        let missing = after.seq - before.seq - 1;
+        if missing > 0 {
+            found.push(Gap {
+                site: site.to_owned(),
+                window_s: before.window_s,
+                after_ms: before.from_ms,
+                missing,
+            });
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::journal::Journal;
+    use crate::message::tests::message;
+
+    fn minute(site: &str, seq: u64) -> String {
+        message(site, seq, &format!("2026-01-05T08:{:02}:00.000Z", seq - 1))
+    }
+
+    #[test]
+    fn each_window_stands_once_and_gaps_close_when_they_are_filled() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let mut journal = Journal::open(&root.join("_journal/a")).unwrap();
+        let mut archive = |messages: &[String]| {
+            journal.append(messages.iter().map(String::as_bytes)).unwrap();
+            journal.close_segment();
+            compact(root, &journal.closed().unwrap()).unwrap()
+        };
+        let done = archive(&[minute("a", 1), minute("a", 2), minute("a", 2), minute("a", 5)]);
+        assert_eq!((done.windows, done.duplicates, done.rejected), (3, 1, 0));
+        let gap =
+            |missing| Gap { site: "a".into(), window_s: 60, after_ms: 1_767_600_060_000, missing };
+        assert_eq!(done.gaps, [gap(2)]);
+        let done = archive(&[minute("a", 4), minute("a", 1), "{}".into(), minute("b", 9)]);
+        assert_eq!((done.windows, done.duplicates, done.rejected), (2, 1, 1));
+        assert_eq!(done.gaps, [gap(1)]);
+        let done = archive(&[minute("a", 3)]);
+        assert_eq!(done, Done { windows: 1, ..Done::default() });
+        let partitions = store::partitions(root).unwrap();
+        assert_eq!(partitions.iter().map(|p| p.site.as_str()).collect::<Vec<_>>(), ["a", "b"]);
+        assert_eq!(partitions[0].date(), "2026-01-05");
+        let rows = store::read(&partitions[0].path(root)).unwrap();
+        // Five windows of two lanes, one of which has two cells.
+        assert_eq!(rows.len(), 5 * 4);
+        let keys: BTreeSet<_> = rows.iter().map(Row::key).collect();
+        assert_eq!(keys.len(), rows.len());
+        assert_eq!(fs::read_dir(root.join("_rejected")).unwrap().count(), 1);
+        assert!(journal.closed().unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_compaction_that_is_repeated_changes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let mut journal = Journal::open(&root.join("_journal/a")).unwrap();
+        let messages: Vec<String> = (1..=9).map(|seq| minute("a", seq)).collect();
+        journal.append(messages.iter().map(String::as_bytes)).unwrap();
+        journal.close_segment();
+        let segment = journal.closed().unwrap().remove(0);
+        let kept = fs::read(&segment).unwrap();
+        compact(root, std::slice::from_ref(&segment)).unwrap();
+        let path = store::partitions(root).unwrap()[0].path(root);
+        let first = fs::read(&path).unwrap();
+        // As after a crash before the segment was removed.
+        fs::write(&segment, &kept).unwrap();
+        let done = compact(root, std::slice::from_ref(&segment)).unwrap();
+        assert_eq!((done.windows, done.duplicates), (0, 9));
+        assert_eq!(fs::read(&path).unwrap(), first);
+    }
+}

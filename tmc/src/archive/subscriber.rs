@@ -1,0 +1,136 @@
+//! The connection to the broker: the door of the crate `rumqttc`.
+//!
+//! Owns the session, which the broker keeps while the archiver is away, the subscriptions
+//! and the acknowledgements, which are given by hand.
+
+use crate::failure::Failure;
+use rumqttc::{Client, Connection, Event, MqttOptions, Packet, Publish, QoS};
+use std::time::{Duration, Instant};
+
+/// Longest wait for the broker at the start.
+const START: Duration = Duration::from_secs(10);
+/// Between two attempts after that.
+const RETRY: Duration = Duration::from_millis(500);
+const KEEP_ALIVE: Duration = Duration::from_secs(30);
+/// Largest message, bytes: 8 lanes of 512 cells take less than a tenth of it.
+const LARGEST: usize = 1 << 20;
+/// Most messages that are journalled with one flush.
+const BATCH: usize = 1000;
+/// Room for requests: an acknowledgement for each message of a batch, and a few more.
+const REQUESTS: usize = 2 * BATCH;
+/// Longest wait for the last acknowledgements to leave.
+const GOODBYE: Duration = Duration::from_millis(500);
+
+/// Where the broker is, and what is wanted of it.
+pub(super) struct Settings {
+    pub(super) host: String,
+    pub(super) port: u16,
+    /// Client id: the name of the session.
+    pub(super) name: String,
+    pub(super) credentials: Option<(String, String)>,
+    pub(super) filters: [String; 2],
+}
+
+pub(super) struct Subscriber {
+    client: Client,
+    connection: Connection,
+    filters: [String; 2],
+    connected: bool,
+}
+
+impl Subscriber {
+    /// Connects and subscribes.
+    pub(super) fn connect(settings: Settings) -> Result<Self, Failure> {
+        let Settings { host, port, name, credentials, filters } = settings;
+        let address = format!("{host}:{port}");
+        let mut options = MqttOptions::new(name, host, port);
+        options.set_keep_alive(KEEP_ALIVE);
+        options.set_clean_session(false);
+        options.set_manual_acks(true);
+        options.set_max_packet_size(LARGEST, LARGEST);
+        if let Some((user, password)) = credentials {
+            options.set_credentials(user, password);
+        }
+        let (client, connection) = Client::new(options, REQUESTS);
+        let mut subscriber = Self { client, connection, filters, connected: false };
+        let until = Instant::now() + START;
+        let mut reason = "no answer".to_owned();
+        while !subscriber.connected {
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(Failure::Broker { address, reason });
+            }
+            match subscriber.connection.recv_timeout(left) {
+                Ok(Ok(event)) => drop(subscriber.take(event)),
+                Ok(Err(error)) => {
+                    reason = error.to_string();
+                    std::thread::sleep(RETRY.min(left));
+                }
+                Err(_) => {}
+            }
+        }
+        Ok(subscriber)
+    }
+
+    /// The messages that are there, waiting for the first at most so long.
+    pub(super) fn receive(&mut self, patience: Duration) -> Vec<Publish> {
+        let mut messages = Vec::new();
+        let until = Instant::now() + patience;
+        while messages.len() < BATCH {
+            // Once there is one, only those that wait already are taken with it.
+            let event = if messages.is_empty() {
+                let left = until.saturating_duration_since(Instant::now());
+                self.connection.recv_timeout(left).ok()
+            } else {
+                self.connection.try_recv().ok()
+            };
+            match event {
+                Some(Ok(event)) => messages.extend(self.take(event)),
+                Some(Err(error)) => {
+                    if std::mem::take(&mut self.connected) {
+                        eprintln!("verge-tmc: the connection broke: {error}; trying again");
+                    }
+                    std::thread::sleep(RETRY);
+                    break;
+                }
+                None => break,
+            }
+            if messages.is_empty() && Instant::now() >= until {
+                break;
+            }
+        }
+        messages
+    }
+
+    fn take(&mut self, event: Event) -> Option<Publish> {
+        match event {
+            Event::Incoming(Packet::ConnAck(_)) => {
+                self.connected = true;
+                for filter in &self.filters {
+                    // There is room: requests of the broken connection went with it.
+                    let _ = self.client.try_subscribe(filter, QoS::AtLeastOnce);
+                }
+                None
+            }
+            Event::Incoming(Packet::Publish(message)) => Some(message),
+            _ => None,
+        }
+    }
+
+    /// Tells the broker that these are safe.
+    pub(super) fn acknowledge(&mut self, messages: &[Publish]) {
+        for message in messages {
+            // One that finds no room comes again and is found to be a duplicate.
+            let _ = self.client.try_ack(message);
+        }
+    }
+
+    /// Sends what is still to be sent and disconnects.
+    pub(super) fn leave(mut self) {
+        let _ = self.client.try_disconnect();
+        let until = Instant::now() + GOODBYE;
+        while let Ok(Ok(_)) =
+            self.connection.recv_timeout(until.saturating_duration_since(Instant::now()))
+        {}
+    }
+}

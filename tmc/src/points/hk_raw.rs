@@ -1,0 +1,120 @@
+//! Hong Kong's raw feed: XML with speed, occupancy and volume of each lane in 30 s.
+//!
+//! Density is k = q / v with q 120 times the volume; a lane that is not valid is left out.
+//! Reads the elements it needs and passes over others; no entities, as the feed has none.
+
+use super::Readings;
+use crate::failure::{Failure, read_text};
+use std::path::Path;
+
+/// From 30 s to an hour.
+const PER_HOUR: f64 = 120.0;
+
+/// What is known of a lane before its element ends.
+#[derive(Default)]
+struct Lane {
+    name: String,
+    speed: Option<f64>,
+    volume: Option<f64>,
+    valid: bool,
+}
+
+/// Readings of every detector, lane and period.
+pub(super) fn read(path: &Path) -> Result<Readings, Failure> {
+    let text = read_text(path)?;
+    let wrong = |rest: &str, reason: String| {
+        let line = 1 + text[..text.len() - rest.len()].matches('\n').count();
+        Failure::content(path, line, reason)
+    };
+    let mut readings = Readings::default();
+    let (mut detector, mut lane) = (String::new(), Lane::default());
+    let mut open: Vec<&str> = Vec::new();
+    let mut rest = text.as_str();
+    while let Some(at) = rest.find('<') {
+        let content = rest[..at].trim();
+        rest = &rest[at..];
+        let Some(end) = rest.find('>') else {
+            return Err(wrong(rest, "breaks off inside a tag; fetch the file again".into()));
+        };
+        let tag = &rest[1..end];
+        if let Some(name) = tag.strip_prefix('/') {
+            if open.pop() != Some(name) {
+                return Err(wrong(rest, format!("</{name}> closes an element that is not open")));
+            }
+            let number = || {
+                let value = content.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
+                value
+                    .ok_or_else(|| wrong(rest, format!("<{name}> {content:?} is no number from 0")))
+            };
+            match name {
+                "detector_id" => content.clone_into(&mut detector),
+                "lane_id" => content.clone_into(&mut lane.name),
+                "speed" if !content.is_empty() => lane.speed = Some(number()?),
+                "volume" if !content.is_empty() => lane.volume = Some(number()?),
+                "valid" => lane.valid = content == "Y",
+                "lane" => {
+                    let ended = std::mem::take(&mut lane);
+                    match (ended.valid, ended.volume, ended.speed) {
+                        (true, Some(volume), Some(speed)) => {
+                            readings.add_flow(&detector, &ended.name, volume * PER_HOUR, speed);
+                        }
+                        _ => readings.invalid += 1,
+                    }
+                }
+                _ => {}
+            }
+        } else if !tag.starts_with(['?', '!']) && !tag.ends_with('/') {
+            open.push(tag.split_whitespace().next().unwrap_or_default());
+        }
+        rest = &rest[end + 1..];
+    }
+    match open.last() {
+        Some(name) => Err(wrong(rest, format!("ends inside <{name}>; fetch the file again"))),
+        None if readings.kept.is_empty() && readings.invalid + readings.empty == 0 => {
+            Err(wrong("", "has no <lane>; is it Hong Kong's raw feed?".into()))
+        }
+        None => Ok(readings),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(text: &str) -> Result<Readings, Failure> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("feed.xml");
+        std::fs::write(&path, text).unwrap();
+        read(&path)
+    }
+
+    const LANE: &str = "<lane><lane_id>Fast Lane</lane_id><speed>60</speed>\
+        <occupancy>1</occupancy><volume>3</volume><s.d.>7.5</s.d.><valid>Y</valid></lane>";
+
+    #[test]
+    fn a_lane_is_read_and_an_invalid_one_is_not() {
+        let invalid = LANE.replace(">Y<", ">N<");
+        let text = format!(
+            "<?xml version=\"1.0\"?><l a=\"b\"><detector><detector_id>A1</detector_id>{LANE}\
+             {invalid}</detector></l>"
+        );
+        let readings = of(&text).unwrap();
+        assert_eq!((readings.kept.len(), readings.invalid), (1, 1));
+        assert_eq!(readings.kept[0].density, 6.0);
+        assert_eq!(readings.kept[0].detector, "A1");
+    }
+
+    #[test]
+    fn damage_is_said() {
+        for (text, said) in [
+            (format!("<l>\n{LANE}"), "ends inside <l>"),
+            ("<l><speed>fast</speed></l>".to_owned(), "<speed> \"fast\" is no number"),
+            ("<l>\n</m>".to_owned(), "line 2: </m> closes"),
+            ("<l><spe".to_owned(), "breaks off inside a tag"),
+            ("<l></l>".to_owned(), "has no <lane>"),
+        ] {
+            let error = of(&text).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
+    }
+}

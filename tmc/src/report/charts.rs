@@ -1,0 +1,168 @@
+//! The charts of a report: average day, week, density along the road, completeness.
+
+use super::summary::{BINS, LANES, Mean, Summary};
+use crate::chart::axes::{Tick, round_ticks};
+use crate::chart::{Anchor, Axes, Colour, Drawing, Shape, UNKNOWN, shade};
+use crate::store;
+
+const WIDTH: u32 = 860;
+/// Width of the colour scale beside a map.
+const SCALE: f64 = 90.0;
+const DENSITY: &str = "density, veh/km/lane";
+const WEEKDAYS: [&str; 7] = ["Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun"];
+/// One colour a lane, told apart also by those who do not see red and green.
+const LANE_COLOURS: [Colour; LANES] = [
+    Colour(0, 114, 178, 1.0),
+    Colour(230, 159, 0, 1.0),
+    Colour(0, 158, 115, 1.0),
+    Colour(204, 121, 167, 1.0),
+    Colour(86, 180, 233, 1.0),
+    Colour(213, 94, 0, 1.0),
+    Colour(120, 120, 30, 1.0),
+    Colour(60, 60, 60, 1.0),
+];
+
+/// A chart with the name of its file.
+pub(super) type Chart = (&'static str, Drawing);
+
+/// The charts of a site.
+pub(super) fn of_site(summary: &Summary) -> Vec<Chart> {
+    let mut charts = vec![("average_day_by_lane", day_by_lane(summary))];
+    if !summary.road.is_empty() {
+        charts.push(("average_day_by_position", day_by_place(summary)));
+    }
+    charts.push(("week", week(&format!("{}: average week", summary.site), &summary.week)));
+    if !summary.road.is_empty() {
+        charts.push(("along_the_road", along_the_road(summary)));
+    }
+    charts.push(("completeness", completeness(summary)));
+    charts
+}
+
+fn hours() -> Vec<Tick> {
+    (0..=8).map(|i| (f64::from(i) * 3.0, format!("{:02}:00", i * 3))).collect()
+}
+
+/// A map of rows over the time of day, row 0 below, with its colour scale.
+fn map(title: &str, name: &str, rows: &[[Mean; BINS]], y: [f64; 2], ticks: Vec<Tick>) -> Drawing {
+    let height = (rows.len() as u32 * 26 + 90).clamp(170, 460);
+    let width = WIDTH - SCALE as u32;
+    let values = rows.iter().flatten().filter_map(|mean| mean.value());
+    let top = values.fold(0.0, f64::max).max(1.0);
+    let mut axes = Axes::new([width, height], [0.0, 24.0], y);
+    let row_height = (y[1] - y[0]) / rows.len() as f64;
+    for (row, bins) in rows.iter().enumerate() {
+        let low = y[0] + row as f64 * row_height;
+        for (bin, mean) in bins.iter().enumerate() {
+            let begin = bin as f64 * 24.0 / BINS as f64;
+            let end = (bin + 1) as f64 * 24.0 / BINS as f64;
+            let colour = mean.value().map_or(UNKNOWN, |value| shade(value / top));
+            axes.cell([begin, low], [end, low + row_height], colour);
+        }
+    }
+    axes.labels_at(title, ["time of day", name], [hours(), ticks], false);
+    let mut whole = Drawing::new(WIDTH, height);
+    whole.place(axes.finish(), [0.0, 0.0]);
+    scale(&mut whole, f64::from(width) + 6.0, top);
+    whole
+}
+
+/// The colour scale from 0 to `top` at the right of a map.
+fn scale(drawing: &mut Drawing, left: f64, top: f64) {
+    let (upper, lower) = (40.0, f64::from(drawing.height) - 46.0);
+    let steps = 40;
+    let step = (lower - upper) / f64::from(steps);
+    for i in 0..steps {
+        let y = lower - f64::from(i + 1) * step;
+        let colour = shade((f64::from(i) + 0.5) / f64::from(steps));
+        drawing.shapes.push(Shape::Rectangle([left, y, 14.0, step + 0.6], colour));
+    }
+    for (value, text) in round_ticks([0.0, top]).into_iter().step_by(2) {
+        let y = lower - value / top * (lower - upper);
+        drawing.text(text, [left + 19.0, y + 4.0], 11.0, Anchor::Start);
+    }
+    drawing.text("veh/km", [left - 2.0, 28.0], 11.0, Anchor::Start);
+}
+
+fn day_by_lane(summary: &Summary) -> Drawing {
+    let lanes = summary.lanes();
+    let rows: Vec<[Mean; BINS]> = lanes
+        .iter()
+        .map(|&lane| std::array::from_fn(|bin| summary.day_by_lane[bin][lane]))
+        .collect();
+    let ticks = lanes.iter().enumerate().map(|(i, lane)| (i as f64 + 0.5, format!("{}", lane + 1)));
+    let title = format!("{}: average day by lane", summary.site);
+    map(&title, "lane", &rows, [0.0, rows.len() as f64], ticks.collect())
+}
+
+fn day_by_place(summary: &Summary) -> Drawing {
+    let end = summary.road.len() as f64 * f64::from(summary.cell_m);
+    let title = format!("{}: average day along the road", summary.site);
+    map(&title, "position, m", &summary.day_by_place, [0.0, end], round_ticks([0.0, end]))
+}
+
+/// Weekday over time of day, Monday on top.
+pub(super) fn week(title: &str, week: &[[Mean; BINS]]) -> Drawing {
+    let rows: Vec<[Mean; BINS]> = week.iter().rev().copied().collect();
+    let ticks = WEEKDAYS.iter().rev().enumerate();
+    let ticks = ticks.map(|(i, name)| (i as f64 + 0.5, (*name).to_owned())).collect();
+    map(title, "weekday", &rows, [0.0, 7.0], ticks)
+}
+
+fn along_the_road(summary: &Summary) -> Drawing {
+    let end = summary.road.len() as f64 * f64::from(summary.cell_m);
+    let values = summary.road.iter().flatten().filter_map(|mean| mean.value());
+    let top = values.fold(1.0, f64::max) * 1.1;
+    let mut axes = Axes::new([WIDTH, 320], [0.0, end], [0.0, top]);
+    let title = format!("{}: mean density along the road", summary.site);
+    axes.labels(&title, ["position, m", DENSITY]);
+    for (row, lane) in summary.lanes().into_iter().enumerate() {
+        let place = |cell: usize| (cell as f64 + 0.5) * f64::from(summary.cell_m);
+        let points: Vec<[f64; 2]> = summary
+            .road
+            .iter()
+            .enumerate()
+            .filter_map(|(cell, lanes)| Some([place(cell), lanes[lane].value()?]))
+            .collect();
+        axes.curve(&points, 2.0, LANE_COLOURS[lane]);
+        axes.key(row, &format!("lane {}", lane + 1), LANE_COLOURS[lane]);
+    }
+    axes.finish()
+}
+
+fn completeness(summary: &Summary) -> Drawing {
+    let first = summary.days.first().map_or(0, |day| day.0);
+    let last = summary.days.last().map_or(0, |day| day.0);
+    let span = (last - first + 1) as f64;
+    let mut axes = Axes::new([WIDTH, 240], [0.0, span], [0.0, 100.0]);
+    for (day, windows) in &summary.days {
+        let [archived, known] = summary.completeness(windows);
+        let (begin, end) = ((day - first) as f64, (day - first + 1) as f64);
+        axes.cell([begin, 0.0], [end, archived * 100.0], Colour(190, 205, 225, 1.0));
+        axes.cell([begin, 0.0], [end, known * 100.0], Colour(50, 95, 160, 1.0));
+    }
+    let ticks = round_ticks([0.0, span])
+        .into_iter()
+        .filter(|(at, _)| at.fract() == 0.0 && *at < span)
+        .map(|(at, _)| (at + 0.5, store::date(first + at as i64)[5..].to_owned()))
+        .collect();
+    let title = format!("{}: windows archived (pale) and with a density (dark)", summary.site);
+    let labels = ["day (UTC)", "per cent"];
+    axes.labels_at(&title, labels, [ticks, round_ticks([0.0, 100.0])], false);
+    axes.finish()
+}
+
+/// The average day of the whole network: the mean of the sites' means.
+pub(super) fn network_day(day: &[Mean; BINS]) -> Drawing {
+    let points: Vec<[f64; 2]> = day
+        .iter()
+        .enumerate()
+        .filter_map(|(bin, mean)| Some([(bin as f64 + 0.5) * 24.0 / BINS as f64, mean.value()?]))
+        .collect();
+    let top = points.iter().map(|p| p[1]).fold(1.0, f64::max) * 1.1;
+    let mut axes = Axes::new([WIDTH, 280], [0.0, 24.0], [0.0, top]);
+    let ticks = [hours(), round_ticks([0.0, top])];
+    axes.labels_at("all sites: average day", ["time of day", DENSITY], ticks, true);
+    axes.curve(&points, 2.0, LANE_COLOURS[0]);
+    axes.finish()
+}

@@ -1,0 +1,171 @@
+//! The files of a report: HTML with its charts inside, PNG, CSV.
+
+use super::charts;
+use super::summary::{BINS, Mean, Summary};
+use crate::chart::Drawing;
+use crate::store;
+use std::fmt::Write;
+
+/// A file's name and content.
+pub(super) type File = (String, Vec<u8>);
+
+const STYLE: &str = "body{font-family:sans-serif;color:#282828;max-width:900px;margin:24px auto;\
+    padding:0 16px}table{border-collapse:collapse}td,th{padding:3px 12px;text-align:right;\
+    border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}\
+    svg{max-width:100%;height:auto;margin:8px 0}a{color:#325fa0}";
+
+/// A page with a title and a body.
+fn page(title: &str, body: &str) -> Vec<u8> {
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width\">\n<title>{title}</title>\n\
+         <style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n{body}</body>\n</html>\n"
+    )
+    .into_bytes()
+}
+
+/// The page, pictures and tables of one site.
+pub(super) fn site_files(summary: &Summary) -> Vec<File> {
+    let mut files = tables(summary);
+    let (first, last) = span(summary);
+    // Names of sites are letters, digits and a few signs: nothing to escape.
+    let mut body = format!(
+        "<p><a href=\"../index.html\">All sites</a>. {first} to {last} (UTC), windows of {} s, \
+         {} rows. A lighter colour is a higher density; grey is not known.</p>\n",
+        summary.window_s.unwrap_or_default(),
+        summary.rows
+    );
+    for (name, drawing) in charts::of_site(summary) {
+        body += &drawing.svg();
+        files.push((format!("{name}.png"), drawing.png()));
+    }
+    body += "<p>As tables:";
+    for (name, _) in files.iter().filter(|(name, _)| name.ends_with(".csv")) {
+        let _ = write!(body, " <a href=\"{name}\">{name}</a>");
+    }
+    body += "</p>\n";
+    files.push(("index.html".into(), page(&summary.site, &body)));
+    files
+}
+
+fn span(summary: &Summary) -> (String, String) {
+    let day = |day: Option<&(i64, _)>| store::date(day.map_or(0, |day| day.0));
+    (day(summary.days.first()), day(summary.days.last()))
+}
+
+fn time(bin: usize) -> String {
+    let minute = bin * 24 * 60 / BINS;
+    format!("{:02}:{:02}", minute / 60, minute % 60)
+}
+
+/// A value and its count; an empty field where nothing is known.
+fn value(mean: Mean) -> String {
+    mean.value().map_or_else(|| ",0".to_owned(), |value| format!("{value:.4},{}", mean.count))
+}
+
+fn tables(summary: &Summary) -> Vec<File> {
+    let lanes = summary.lanes();
+    // Writing to a string does not fail.
+    let mut day = String::from("time,lane,density_veh_km,windows\n");
+    for (bin, means) in summary.day_by_lane.iter().enumerate() {
+        for &lane in &lanes {
+            let _ = writeln!(day, "{},{},{}", time(bin), lane + 1, value(means[lane]));
+        }
+    }
+    let mut week = String::from("weekday,time,density_veh_km,windows\n");
+    for (weekday, means) in summary.week.iter().enumerate() {
+        for (bin, mean) in means.iter().enumerate() {
+            let _ = writeln!(week, "{},{},{}", weekday + 1, time(bin), value(*mean));
+        }
+    }
+    let mut complete = String::from("date,lane,windows_expected,windows_archived,windows_known\n");
+    for (date, windows) in &summary.days {
+        for &lane in &lanes {
+            let (date, expected) = (store::date(*date), summary.expected());
+            let counts = windows[lane];
+            let (archived, known) = (counts.archived, counts.known);
+            let _ = writeln!(complete, "{date},{},{expected},{archived},{known}", lane + 1);
+        }
+    }
+    let mut files = vec![
+        ("average_day_by_lane.csv".to_owned(), day.into_bytes()),
+        ("week.csv".to_owned(), week.into_bytes()),
+        ("completeness.csv".to_owned(), complete.into_bytes()),
+    ];
+    if summary.road.is_empty() {
+        return files;
+    }
+    let place = |cell: usize| cell as f64 * f64::from(summary.cell_m);
+    let mut road = String::from("lane,position_m,density_veh_km,windows\n");
+    for &lane in &lanes {
+        for (cell, means) in summary.road.iter().enumerate() {
+            let _ = writeln!(road, "{},{:.1},{}", lane + 1, place(cell), value(means[lane]));
+        }
+    }
+    let mut day = String::from("time,position_m,density_veh_km,windows\n");
+    for bin in 0..BINS {
+        for (cell, means) in summary.day_by_place.iter().enumerate() {
+            let _ = writeln!(day, "{},{:.1},{}", time(bin), place(cell), value(means[bin]));
+        }
+    }
+    files.push(("along_the_road.csv".into(), road.into_bytes()));
+    files.push(("average_day_by_position.csv".into(), day.into_bytes()));
+    files
+}
+
+/// The page over all sites, and its table.
+pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
+    let mut csv = String::from(
+        "site,first_day,last_day,days,lanes,archived_pct,known_pct,mean_density_veh_km\n",
+    );
+    let mut table = String::from(
+        "<table>\n<tr><th>site</th><th>days</th><th>lanes</th><th>archived</th>\
+         <th>with density</th><th>mean veh/km/lane</th></tr>\n",
+    );
+    let mut day = [Mean::default(); BINS];
+    let mut week = vec![[Mean::default(); BINS]; 7];
+    for summary in summaries {
+        let site = &summary.site;
+        let (first, last) = span(summary);
+        let (days, lanes) = (summary.days.len(), summary.lanes().len());
+        // Days without a file count as missing.
+        let all = summary.days.last().map_or(0, |d| d.0) - summary.days.first().map_or(0, |d| d.0);
+        let mut share = [0.0; 2];
+        for (_, windows) in &summary.days {
+            let [archived, known] = summary.completeness(windows);
+            share = [share[0] + archived, share[1] + known];
+        }
+        let [archived, known] = share.map(|sum| sum / (all + 1) as f64 * 100.0);
+        let mean = summary.mean().value().map_or(String::new(), |mean| format!("{mean:.2}"));
+        let _ =
+            writeln!(csv, "{site},{first},{last},{days},{lanes},{archived:.2},{known:.2},{mean}");
+        let _ = writeln!(
+            table,
+            "<tr><td><a href=\"{site}/index.html\">{site}</a></td><td>{days}</td><td>{lanes}</td>\
+             <td>{archived:.1} %</td><td>{known:.1} %</td><td>{mean}</td></tr>"
+        );
+        for (bin, lanes) in summary.day_by_lane.iter().enumerate() {
+            let mut site = Mean::default();
+            lanes.iter().for_each(|lane| site.add_mean(*lane));
+            day[bin].add_mean(site);
+        }
+        for (all, site) in week.iter_mut().zip(&summary.week) {
+            all.iter_mut().zip(site).for_each(|(all, site)| all.add_mean(*site));
+        }
+    }
+    table += "</table>\n";
+    let drawings: [(&str, Drawing); 2] = [
+        ("average_day.png", charts::network_day(&day)),
+        ("week.png", charts::week("all sites: average week", &week)),
+    ];
+    let mut body = String::new();
+    let mut files = vec![("sites.csv".to_owned(), csv.into_bytes())];
+    for (name, drawing) in drawings {
+        body += &drawing.svg();
+        files.push((name.to_owned(), drawing.png()));
+    }
+    body += &table;
+    body += "<p>As a table: <a href=\"sites.csv\">sites.csv</a></p>\n";
+    files.push(("index.html".into(), page("Traffic density", &body)));
+    files
+}

@@ -1,0 +1,126 @@
+//! The archive on disk: one Parquet file a site and day.
+//!
+//! `ROOT/site=NAME/date=YYYY-MM-DD/density.parquet`, the layout that Parquet readers know as
+//! Hive partitions; the date is that of the window's beginning in UTC. The first row group
+//! has a row for each lane and window (`cell` and `position_m` are null), the second, where
+//! boxes measure it, one for each cell of a lane. What is not known is null. Names in ROOT
+//! that begin with `_` are the archivers' own.
+
+mod parquet_file;
+
+pub use parquet_file::{Columns, read, read_lanes, write};
+
+use crate::failure::Failure;
+use std::path::{Path, PathBuf};
+
+/// A day, ms.
+pub const DAY_MS: i64 = 86_400_000;
+const FILE: &str = "density.parquet";
+
+/// One row: a lane, or a cell of it, in a window.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Length of the window, s.
+    pub window_s: i32,
+    /// Its beginning, ms since 1970.
+    pub from_ms: i64,
+    /// Lane, from 1.
+    pub lane: i32,
+    /// Cell of the lane, from 0 at its near end; none: the whole lane.
+    pub cell: Option<i32>,
+    /// Where the cell begins along the lane, m.
+    pub position_m: Option<f32>,
+    /// Length of lane or cell, m.
+    pub length_m: f32,
+    /// Density, veh/km.
+    pub density: Option<f32>,
+    /// One standard error of it from sampling, veh/km.
+    pub se: Option<f32>,
+    /// Mean number of vehicles.
+    pub vehicles: Option<f32>,
+    /// Share of the length that vehicles cover.
+    pub occupancy: Option<f32>,
+    /// Frames used.
+    pub frames_used: i32,
+    /// Frames expected.
+    pub frames_expected: i32,
+    /// Status, a number of NTCIP 1209.
+    pub status: i32,
+    /// Number of the message among the site's.
+    pub seq: i64,
+    /// Whether the box's clock was set.
+    pub clock_synced: bool,
+    /// One standard error of a length from calibration, as a fraction.
+    pub rel_err: Option<f32>,
+}
+
+impl Row {
+    /// Its place in the file.
+    pub fn key(&self) -> (bool, i32, i64, i32, i32) {
+        let cell = self.cell.unwrap_or(-1);
+        (self.cell.is_some(), self.window_s, self.from_ms, self.lane, cell)
+    }
+}
+
+/// A partition: one site's day.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Partition {
+    /// The site.
+    pub site: String,
+    /// Days since 1970, UTC.
+    pub day: i64,
+}
+
+impl Partition {
+    /// The file of this partition under `root`.
+    pub fn path(&self, root: &Path) -> PathBuf {
+        root.join(format!("site={}", self.site)).join(format!("date={}", self.date())).join(FILE)
+    }
+
+    /// The day as YYYY-MM-DD.
+    pub fn date(&self) -> String {
+        date(self.day)
+    }
+}
+
+/// A day since 1970 as YYYY-MM-DD.
+pub fn date(day: i64) -> String {
+    let time = jiff::Timestamp::from_millisecond(day * DAY_MS).unwrap_or_default();
+    time.to_string()[..10].to_owned()
+}
+
+/// Every partition that has a file, by site and day.
+///
+/// # Errors
+/// [`Failure`] where `root` is not there or a name in it is none of the archive's.
+pub fn partitions(root: &Path) -> Result<Vec<Partition>, Failure> {
+    let mut found = Vec::new();
+    for (site, folder) in named(root, "site=")? {
+        for (date, folder) in named(&folder, "date=")? {
+            let day = format!("{date}T00:00:00Z").parse::<jiff::Timestamp>();
+            let Ok(day) = day else {
+                return Err(Failure::content(&folder, 0, "is no folder of a day: date=YYYY-MM-DD"));
+            };
+            let day = day.as_millisecond() / DAY_MS;
+            if folder.join(FILE).exists() {
+                found.push(Partition { site: site.clone(), day });
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Folders named `prefix` and something, with that something.
+fn named(folder: &Path, prefix: &str) -> Result<Vec<(String, PathBuf)>, Failure> {
+    let failed = |source| Failure::reading(folder, source);
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if let Some(value) = name.strip_prefix(prefix) {
+            found.push((value.to_owned(), entry.path()));
+        }
+    }
+    Ok(found)
+}

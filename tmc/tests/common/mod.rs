@@ -1,0 +1,76 @@
+//! What the command's tests share: running it, made points, where data lies, how to skip.
+#![allow(dead_code, reason = "each test file uses its own part")]
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// Says that a test is skipped. With `VERGE_NO_SKIP=1`, as in CI, that is a failure.
+pub fn skip(reason: &str) {
+    eprintln!("skipped: {reason}");
+    let refused = std::env::var_os("VERGE_NO_SKIP").is_some_and(|value| value == "1");
+    assert!(!refused, "VERGE_NO_SKIP=1, and this test was skipped: {reason}");
+}
+
+/// The shared data beside the project, or a skip. Never a failure: it is not part of the
+/// project and no machine can install it.
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(path);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("skipped: {} is not there", path.display());
+    None
+}
+
+/// Runs verge-tmc.
+pub fn tmc(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_verge-tmc")).args(args).output().expect("the program starts")
+}
+
+/// Runs verge-tmc, which must succeed; its standard output.
+pub fn succeed(args: &[&str]) -> String {
+    let output = tmc(args);
+    assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+    String::from_utf8(output.stdout).expect("UTF-8")
+}
+
+/// Runs verge-tmc, which must succeed and print JSON.
+pub fn json(args: &[&str]) -> Value {
+    serde_json::from_str(&succeed(args)).expect("JSON")
+}
+
+/// Exit code and standard error of a run that fails.
+pub fn failure(args: &[&str]) -> (i32, String) {
+    let output = tmc(args);
+    (output.status.code().expect("an exit code"), stderr(&output))
+}
+
+/// What a program wrote to standard error.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// A path as text.
+pub fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+/// Numbers between 0 and 1, the same for the same seed (xorshift64*).
+pub struct Numbers(pub u64);
+
+impl Numbers {
+    /// The next one.
+    pub fn uniform(&mut self) -> f64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        (self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Normal by Box and Muller.
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (2.0 * std::f64::consts::PI * self.uniform()).cos()
+    }
+}

@@ -103,13 +103,18 @@ fn a_file_is_there_whole_and_a_missing_input_is_named() {
     let failed = verge(&["convert", "--to", "csv", "no/such/file"]);
     assert_eq!(failed.status.code(), Some(66), "{}", stderr(&failed));
     assert!(stderr(&failed).contains("no/such/file"));
-    assert_eq!(verge(&["convert", "--to", "datex2", "--country", "DE"]).status.code(), Some(64));
+    for (option, wrong) in [("--country", "Germany"), ("--road-segment", "seven")] {
+        let failed = verge(&["convert", "--to", "csv", option, wrong]);
+        assert_eq!(failed.status.code(), Some(64), "{}", stderr(&failed));
+    }
 }
 
 #[test]
 fn datex2_has_the_elements_of_the_schema_in_their_order() {
     let (code, output, _) = convert(&json_lines(), &["--to", "datex2", "--country", "hk"]);
     assert_eq!(code, Some(0));
+    let (_, untold, _) = convert(&json_lines(), &["--to", "datex2"]);
+    datex2::check(&xml::parse(&untold), "PayloadPublication", &mut Vec::new());
     let root = xml::parse(&output);
     assert_eq!(root.name, "d2:payload");
     assert_eq!(root.attribute("modelBaseVersion"), Some("3"));
@@ -212,7 +217,7 @@ mod datex2 {
             "string" => !text.is_empty() && text.len() <= 1024,
             "dateTime" => text.len() == 24 && text.ends_with('Z') && &text[10..11] == "T",
             "boolean" => ["true", "false"].contains(&text),
-            "country" => text == "other" || text.len() == 2,
+            "country" => text.len() <= 2 && text.bytes().all(|b| b.is_ascii_alphabetic()),
             "real" => text == "real",
             "nonNegativeInteger" => text.parse::<u64>().is_ok(),
             "percentage" => text.parse::<f32>().is_ok_and(|p| (0.0..=100.0).contains(&p)),

@@ -125,6 +125,19 @@ fn faults_are_named() {
     }
 }
 
+/// Found by fuzzing: the HTTP client panics on it.
+#[test]
+fn a_redirect_that_breaks_off_costs_one_picture() {
+    let (url, _) = serve(vec![
+        b"HTTP/1.1 302 Found\r\nLocation: /x\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n".to_vec(),
+        answer("200 OK", "", &jpeg(32, 24, 10)),
+    ]);
+    let (mut camera, mut frame) = (camera(&url), Frame::default());
+    let error = camera.next(&mut frame).expect_err("no picture");
+    assert!(error.to_string().contains(&url) && !error.is_damage(), "{error}");
+    assert_eq!(camera.next(&mut frame).expect("a picture"), Captured::New);
+}
+
 #[test]
 fn a_silent_camera_costs_its_time_out_and_no_more() {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");

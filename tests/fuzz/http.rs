@@ -103,7 +103,13 @@ impl Camera {
                 Err(error) => format!("after a picture: {error}"),
             },
             Ok(captured) => format!("{captured:?}"),
-            Err(error) => error.to_string(),
+            Err(error) => {
+                let said = error.to_string();
+                // The one panic that is known: ureq 3.5.1 on a redirect that breaks off.
+                let redirect = answer.windows(2).any(|bytes| bytes == b" 3");
+                assert!(redirect || !said.contains("broke down"), "a library panics");
+                said
+            }
         }
     }
 }

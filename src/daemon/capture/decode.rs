@@ -5,6 +5,7 @@
 use crate::daemon::flow::Picture;
 use image::{ColorType, ImageDecoder, ImageFormat};
 use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Largest picture that is decoded, px: 4K.
 pub const MAX_PICTURE: (u32, u32) = (3840, 2160);
@@ -55,6 +56,9 @@ pub enum DecodeError {
     /// The decoder gave up.
     #[error("the picture is damaged: {0}")]
     Damaged(String),
+    /// The decoder panicked, which it should not whatever it gets.
+    #[error("the decoder broke down over the picture; please report it with the picture")]
+    Decoder,
 }
 
 /// Decodes `bytes` into `picture`, whose buffer is used again.
@@ -62,6 +66,13 @@ pub enum DecodeError {
 /// # Errors
 /// [`DecodeError`]; `picture` then holds nothing that may be used.
 pub fn decode(bytes: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+    // The decoders are not ours, and what they get comes from outside: one that panics
+    // costs a picture and not the daemon. A half-filled picture is not used.
+    let decoded = catch_unwind(AssertUnwindSafe(|| decode_format(bytes, picture)));
+    decoded.unwrap_or(Err(DecodeError::Decoder))
+}
+
+fn decode_format(bytes: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
     if bytes.is_empty() {
         return Err(DecodeError::Empty);
     }
@@ -77,6 +88,7 @@ pub fn decode(bytes: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
             read(decoder, picture)
         }
         Ok(ImageFormat::Png) => {
+            check_palette(bytes)?;
             let decoder =
                 image::codecs::png::PngDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
             check_size(decoder.dimensions())?;
@@ -87,6 +99,20 @@ pub fn decode(bytes: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
             Err(DecodeError::Format { bytes: bytes.len(), beginning })
         }
     }
+}
+
+/// Refuses a palette that is not up to 256 colours of three bytes: png 0.18.1 panics on it.
+fn check_palette(png: &[u8]) -> Result<(), DecodeError> {
+    let mut rest = png.get(8..).unwrap_or_default();
+    while let Some((&[l0, l1, l2, l3, kind @ ..], body)) = rest.split_first_chunk::<8>() {
+        let len = u32::from_be_bytes([l0, l1, l2, l3]) as usize;
+        if kind == *b"PLTE" && (!len.is_multiple_of(3) || len > 3 * 256) {
+            return Err(DecodeError::Damaged(format!("a palette of {len} bytes")));
+        }
+        // The body is followed by its checksum.
+        rest = body.get(len.saturating_add(4)..).unwrap_or_default();
+    }
+    Ok(())
 }
 
 fn check_size((width, height): (u32, u32)) -> Result<(), DecodeError> {
@@ -168,6 +194,26 @@ mod tests {
             matches!(error, DecodeError::TooLarge { width: 20_000, height: 20_000 }),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_palette_that_is_none_is_refused() {
+        let chunk = |kind: &[u8], body: &[u8]| {
+            let mut bytes = (body.len() as u32).to_be_bytes().to_vec();
+            bytes.extend_from_slice(kind);
+            bytes.extend_from_slice(body);
+            let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&bytes[4..]);
+            bytes.extend_from_slice(&crc.to_be_bytes());
+            bytes
+        };
+        for colours in [vec![7; 3 * 256 + 3], vec![7; 4]] {
+            let mut png = b"\x89PNG\r\n\x1a\n".to_vec();
+            png.extend(chunk(b"IHDR", &[0, 0, 0, 1, 0, 0, 0, 1, 8, 3, 0, 0, 0]));
+            png.extend(chunk(b"PLTE", &colours));
+            png.extend(chunk(b"IDAT", b""));
+            let error = decode(&png, &mut Picture::default()).expect_err("no palette");
+            assert!(error.to_string().contains("a palette of"), "{error}");
+        }
     }
 
     #[test]

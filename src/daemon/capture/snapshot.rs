@@ -9,6 +9,7 @@ use crate::daemon::flow::Frame;
 use base64::{Engine, prelude::BASE64_STANDARD as BASE64};
 use std::hash::{DefaultHasher, Hasher};
 use std::io::Read;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 use ureq::http::header::{self, HeaderMap, HeaderValue};
 
@@ -68,6 +69,12 @@ pub enum SnapshotError {
         /// The address without credentials.
         url: String,
     },
+    /// The HTTP client panicked, which it should not whatever it gets.
+    #[error("{url}: the HTTP client broke down over the answer; is this a camera?")]
+    Client {
+        /// The address without credentials.
+        url: String,
+    },
     /// The address does not parse.
     #[error("{url}: not an address of the form http://host/path")]
     Url {
@@ -114,14 +121,7 @@ impl Snapshot {
         if !matches!(uri.scheme_str(), Some("http" | "https")) || uri.host().is_none() {
             return Err(bad_url());
         }
-        let agent = ureq::Agent::config_builder()
-            .timeout_global(Some(settings.timeout))
-            .max_redirects(MAX_REDIRECTS)
-            .redirect_auth_headers(ureq::config::RedirectAuthHeaders::SameHost)
-            .http_status_as_error(false)
-            .user_agent(concat!("verge/", env!("CARGO_PKG_VERSION")))
-            .build()
-            .new_agent();
+        let agent = agent(settings.timeout);
         let authorization = settings.credentials.as_ref().and_then(basic);
         Ok(Self { settings, agent, authorization, last: None, bytes: Vec::new() })
     }
@@ -132,6 +132,27 @@ impl Snapshot {
     }
 
     pub(super) fn next(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
+        // ureq 3.5.1 panics on a redirect whose chunked body breaks off behind its last
+        // chunk. What a camera answers costs a picture and never the daemon.
+        let Ok(asked) = catch_unwind(AssertUnwindSafe(|| self.ask())) else {
+            self.agent = agent(self.settings.timeout);
+            return Err(SnapshotError::Client { url: self.settings.url.clone() }.into());
+        };
+        let Some(sent) = asked? else { return Ok(Captured::Unchanged) };
+        if self.last.as_ref().is_some_and(|last| last.digest == sent.digest) {
+            return Ok(Captured::Unchanged);
+        }
+        self.last = Some(sent);
+        frame.time = clock::now();
+        "snapshot".clone_into(&mut frame.name);
+        decode(&self.bytes, &mut frame.picture)
+            .map_err(|source| CaptureError::Decode { name: self.settings.url.clone(), source })?;
+        Ok(Captured::New)
+    }
+
+    /// Makes one request and reads the picture's bytes; `None` where the camera says that
+    /// it is the one before.
+    fn ask(&mut self) -> Result<Option<Sent>, SnapshotError> {
         let url = &self.settings.url;
         let transport = |reason: String| SnapshotError::Transport { url: url.clone(), reason };
         let mut request = self.agent.get(url);
@@ -149,8 +170,8 @@ impl Snapshot {
         let mut response = request.call().map_err(|error| transport(error.to_string()))?;
         match response.status().as_u16() {
             200 => {}
-            304 => return Ok(Captured::Unchanged),
-            status => return Err(SnapshotError::Status { url: url.clone(), status }.into()),
+            304 => return Ok(None),
+            status => return Err(SnapshotError::Status { url: url.clone(), status }),
         }
         self.bytes.clear();
         let reader = response.body_mut().as_reader();
@@ -159,19 +180,21 @@ impl Snapshot {
             .read_to_end(&mut self.bytes)
             .map_err(|error| transport(format!("the answer broke off: {error}")))?;
         if self.bytes.len() > MAX_PICTURE_BYTES {
-            return Err(SnapshotError::TooLarge { url: url.clone() }.into());
+            return Err(SnapshotError::TooLarge { url: url.clone() });
         }
-        let sent = Sent::new(response.headers(), &self.bytes);
-        if self.last.as_ref().is_some_and(|last| last.digest == sent.digest) {
-            return Ok(Captured::Unchanged);
-        }
-        self.last = Some(sent);
-        frame.time = clock::now();
-        "snapshot".clone_into(&mut frame.name);
-        decode(&self.bytes, &mut frame.picture)
-            .map_err(|source| CaptureError::Decode { name: url.clone(), source })?;
-        Ok(Captured::New)
+        Ok(Some(Sent::new(response.headers(), &self.bytes)))
     }
+}
+
+fn agent(timeout: Duration) -> ureq::Agent {
+    ureq::Agent::config_builder()
+        .timeout_global(Some(timeout))
+        .max_redirects(MAX_REDIRECTS)
+        .redirect_auth_headers(ureq::config::RedirectAuthHeaders::SameHost)
+        .http_status_as_error(false)
+        .user_agent(concat!("verge/", env!("CARGO_PKG_VERSION")))
+        .build()
+        .new_agent()
 }
 
 impl Sent {

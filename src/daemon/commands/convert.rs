@@ -27,18 +27,27 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// FIWARE: the road segment of the site, an URN
-    #[arg(long, value_name = "URN")]
+    #[arg(long, value_name = "URN", value_parser = urn)]
     road_segment: Option<String>,
-    /// DATEX II: country of the publisher, two small letters
+    /// DATEX II: country of the publisher, two letters of ISO 3166-1
     #[arg(long, value_name = "CC", value_parser = country)]
     country: Option<String>,
 }
 
 fn country(text: &str) -> Result<String, String> {
-    if text.len() == 2 && text.bytes().all(|byte| byte.is_ascii_lowercase()) {
+    if text.len() == 2 && text.bytes().all(|byte| byte.is_ascii_alphabetic()) {
         Ok(text.to_owned())
     } else {
-        Err("give two small letters, such as de".into())
+        Err("give the two letters of ISO 3166-1, such as DE".into())
+    }
+}
+
+fn urn(text: &str) -> Result<String, String> {
+    let plain = |byte: u8| byte.is_ascii_graphic() && !b"<>\"'=;()".contains(&byte);
+    if text.contains(':') && text.bytes().all(plain) {
+        Ok(text.to_owned())
+    } else {
+        Err("give an URN such as urn:ngsi-ld:RoadSegment:7".into())
     }
 }
 

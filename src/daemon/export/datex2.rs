@@ -13,11 +13,13 @@ use crate::units::UtcMs;
 use crate::wire::DensityMessage;
 use std::fmt::Write;
 
+/// Country of a publisher that does not tell: a code that ISO 3166-1 leaves to its users.
+const NO_COUNTRY: &str = "ZZ";
+
 /// Closes what [`begin`] opens.
 pub const END: &str = "</d2:payload>";
 
-/// The publication's head, made at `time`, by a publisher in `country` (two small letters;
-/// the standard's `other` where it is not told).
+/// The publication's head, made at `time`, by a publisher in `country` (ISO 3166-1 alpha-2).
 pub fn begin(time: UtcMs, country: Option<&str>) -> String {
     format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>
@@ -37,7 +39,7 @@ version=\"1\"/>
     <com:informationStatus>real</com:informationStatus>
   </roa:headerInformation>",
         rfc3339(time),
-        escaped(country.unwrap_or("other")),
+        escaped(country.unwrap_or(NO_COUNTRY)),
     )
 }
 

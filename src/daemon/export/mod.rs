@@ -5,12 +5,11 @@
 //! what a format cannot say, stands in `docs/formats.md`.
 
 mod csv;
-pub mod datex2;
-pub mod fiware;
+mod datex2;
+mod fiware;
 mod ntcip;
 mod read;
 
-pub use csv::HEADER as CSV_HEADER;
 pub use read::{MessageForm, ReadError, read};
 
 use crate::daemon::publish::payload;
@@ -37,7 +36,7 @@ pub enum Target {
 pub struct Place {
     /// FIWARE `refRoadSegment`, an URN or address of the road segment.
     pub road_segment: Option<String>,
-    /// DATEX II country of the publisher, two small letters.
+    /// DATEX II country of the publisher, ISO 3166-1 alpha-2.
     pub country: Option<String>,
 }
 

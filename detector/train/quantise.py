@@ -35,6 +35,17 @@ def folded(path):
         ort.InferenceSession(path, options, providers=["CPUExecutionProvider"])
         model = onnx.load(options.optimized_model_filepath)
     graph = model.graph
+    # ONNX Runtime sorts anew; `nanodet.carry` and readers want the order of execution.
+    order = {node.name: i for i, node in enumerate(onnx.load(path).graph.node)}
+    waiting = [onnx.NodeProto.FromString(node.SerializeToString()) for node in graph.node]
+    waiting.sort(key=lambda node: order.get(node.name, -1))
+    there = {i.name for i in graph.input} | {t.name for t in graph.initializer} | {""}
+    del graph.node[:]
+    while waiting:
+        node = next(node for node in waiting if there.issuperset(node.input))
+        waiting.remove(node)
+        there.update(node.output)
+        graph.node.append(node)
     del graph.value_info[:]
     keep = {i.name for i in graph.input} | {o.name for o in graph.output}
     short = {}
@@ -149,13 +160,14 @@ def leaky(x):
     return np.where(x < 0, x * 0.1, x)
 
 
-def quantise(source, path, pictures, width, height, double=True):
-    """Writes the int8 form of the f32 network `source` to `path`.
+def quantise(source, path, pictures, width, height, double=False):
+    """Writes the int8 form of the f32 network `source`, which is `folded`, to `path`.
 
-    With `double` values are rounded before the activation too, which ONNX Runtime needs to
-    convolve in int8; without, only behind it.
+    Values are rounded behind activations. With `double` before them too, which ONNX Runtime
+    needs to convolve in int8, and which costs accuracy (0.015 AP by day on validation cameras
+    in place of 0.001).
     """
-    model = folded(source)
+    model = onnx.load(source)
     graph = model.graph
     plan = Plan(graph)
     values = samples(model, plan, pictures, width, height)

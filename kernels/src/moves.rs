@@ -83,7 +83,8 @@ fn to_steps(value: f32, zero: f32) -> u8 {
     let (least, most) = (-zero, 255.0 - zero);
     let value = if value > least { value } else { least };
     let value = if value < most { value } else { most };
-    (((value + ROUND) - ROUND) + zero) as i32 as u8
+    // SAFETY: between 0 and 255; a scale is a normal number, so that nothing is NaN.
+    unsafe { (((value + ROUND) - ROUND) + zero).to_int_unchecked::<i32>() as u8 }
 }
 
 /// Copies pixels, rescaled where that is asked.

@@ -11,7 +11,7 @@ use super::tract::{
     DatumExt, Framework, InferenceFact, InferenceModelExt, IntoRunnable, TValue, Tensor,
     TractError, TypedRunnableModel, tvec,
 };
-use super::{ModelError, pb};
+use super::{ModelError, onnx, pb};
 use crate::daemon::flow::Detection;
 use std::path::Path;
 use std::sync::Arc;
@@ -68,8 +68,8 @@ impl Engine {
             expected: expected.to_vec(),
             actual: actual.to_vec(),
         };
-        let onnx = onnx();
-        let proto = onnx.proto_model_for_read(&mut &bytes[..]).map_err(load)?;
+        let reader = onnx();
+        let proto = reader.proto_model_for_read(&mut &bytes[..]).map_err(load)?;
         drop(bytes);
         let (width, height) = (sidecar.input.width_px, sidecar.input.height_px);
         let shape = [1, 3, height, width];
@@ -90,7 +90,7 @@ impl Engine {
             }
             Err(why) => why,
         };
-        let model = onnx.model_for_proto_model(&proto).map_err(load)?;
+        let model = reader.model_for_proto_model(&proto).map_err(load)?;
         if let Some(actual) = known_shape(model.input_fact(0).map_err(load)?)
             && actual != shape
         {

@@ -27,11 +27,23 @@ enum Value {
     Picture(Tensor),
     /// Two halves that will be shuffled.
     Halves(Tensor, Tensor),
-    /// Cells of several pictures, row by row.
-    Rows {
-        levels: Vec<Tensor>,
-        parts: Vec<Part>,
-    },
+    /// Cells of several pictures.
+    Rows(Rows),
+}
+
+/// Cells of several pictures, one behind the other, with what happens to their columns.
+#[derive(Clone, Debug)]
+struct Rows {
+    levels: Vec<Tensor>,
+    parts: Vec<Part>,
+    /// Which axis the columns are: 1 as they come, 2 when turned.
+    axis: i64,
+}
+
+impl Rows {
+    fn columns(&self) -> usize {
+        self.parts.iter().map(Part::columns).sum()
+    }
 }
 
 /// Why a graph stays with tract.
@@ -73,7 +85,7 @@ pub(super) fn lower(proto: &GraphProto, float: bool, isa: Isa) -> Result<Lowered
     }
     let output = proto.output.first().ok_or("no output")?;
     match lowering.values.remove(output.name.as_str()) {
-        Some(Value::Rows { levels, parts }) => {
+        Some(Value::Rows(Rows { levels, parts, axis: 2 })) => {
             let net = lowering.builder.finish(&levels).map_err(|error| error.to_string())?;
             let input = [1, shape.channels, shape.height, shape.width];
             Ok(Lowered { net, input, levels: levels.len(), parts })
@@ -353,18 +365,21 @@ impl<'a> Lowering<'a> {
                 let made = self.builder.concat(&pictures, steps);
                 made.map(Value::Picture).map_err(|error| error.to_string())
             }
-            // Channels of cells, or cells of several levels.
+            // Columns of cells, or cells of several levels.
             (None, 1 | 2) | (Some(_), 2) => {
-                let rows: Result<Vec<_>, _> =
+                let rows: Result<Vec<Rows>, _> =
                     inputs.into_iter().map(|value| self.rows(value)).collect();
                 let rows = rows?;
-                let (first, first_parts) = rows[0].clone();
-                if rows.iter().all(|(levels, _)| *levels == first) && rows.len() > 1 {
-                    let parts = rows.into_iter().flat_map(|(_, parts)| parts).collect();
-                    Ok(Value::Rows { levels: first, parts })
-                } else if rows.iter().all(|(_, parts)| *parts == first_parts) {
-                    let levels = rows.into_iter().flat_map(|(levels, _)| levels).collect();
-                    Ok(Value::Rows { levels, parts: first_parts })
+                let (first, all) = (rows[0].clone(), || rows.iter());
+                if !all().all(|row| row.axis == first.axis) {
+                    return Err("turned cells and others".to_owned());
+                }
+                if axis == first.axis && all().all(|row| row.levels == first.levels) {
+                    let parts = all().flat_map(|row| row.parts.clone()).collect();
+                    Ok(Value::Rows(Rows { parts, ..first }))
+                } else if axis != first.axis && all().all(|row| row.parts == first.parts) {
+                    let levels = all().flat_map(|row| row.levels.clone()).collect();
+                    Ok(Value::Rows(Rows { levels, ..first }))
                 } else {
                     Err("cells that do not belong together".to_owned())
                 }
@@ -399,9 +414,10 @@ impl<'a> Lowering<'a> {
                 let made = self.builder.interleave(a, b);
                 made.map(Value::Picture).map_err(|error| error.to_string())
             }
-            (value @ (Value::Picture(_) | Value::Rows { .. }), [1, _, _]) => {
-                let (levels, parts) = self.rows(value)?;
-                Ok(Value::Rows { levels, parts })
+            (value @ (Value::Picture(_) | Value::Rows(Rows { axis: 1, .. })), [1, columns, _])
+                if self.width(&value).is_some_and(|(_, width)| width as i64 == *columns) =>
+            {
+                self.rows(value).map(Value::Rows)
             }
             (value, to) => Err(format!("{value:?} to {to:?}")),
         }
@@ -410,19 +426,20 @@ impl<'a> Lowering<'a> {
     fn transpose(&mut self, node: &NodeProto) -> Result<Value, Refusal> {
         match (self.input(node, 0)?, ints(node, "perm")) {
             (halves @ Value::Halves(..), [0, 2, 1, 3, 4]) => Ok(halves),
-            (rows @ Value::Rows { .. }, [0, 2, 1]) => Ok(rows),
+            (Value::Rows(rows), [0, 2, 1]) => Ok(Value::Rows(Rows { axis: 3 - rows.axis, ..rows })),
             (value, order) => Err(format!("{value:?} to {order:?}")),
         }
     }
 
     /// A picture of floats as cells.
-    fn rows(&self, value: Value) -> Result<(Vec<Tensor>, Vec<Part>), Refusal> {
+    fn rows(&self, value: Value) -> Result<Rows, Refusal> {
         match value {
-            Value::Rows { levels, parts } => Ok((levels, parts)),
+            Value::Rows(rows) => Ok(rows),
             Value::Picture(picture) if self.builder.steps(picture).is_none() => {
                 let channels = self.builder.shape(picture).channels;
                 let (whole, first) = self.parts_of.get(&picture).copied().unwrap_or((picture, 0));
-                Ok((vec![whole], vec![Part::Raw(first..first + channels)]))
+                let parts = vec![Part::Raw(first..first + channels)];
+                Ok(Rows { levels: vec![whole], parts, axis: 1 })
             }
             other => Err(format!("{other:?} is no list of cells")),
         }
@@ -436,13 +453,13 @@ impl<'a> Lowering<'a> {
                 self.parts_of.insert(made, (*picture, first));
                 Ok(Value::Picture(made))
             }
-            Value::Rows { levels, parts } => {
+            Value::Rows(rows) => {
                 let mut at = 0;
-                for part in parts {
+                for part in &rows.parts {
                     if first >= at && first + count <= at + part.columns() {
                         let part = part.slice(first - at..first - at + count);
                         let parts = vec![part.ok_or("a part of shares")?];
-                        return Ok(Value::Rows { levels: levels.clone(), parts });
+                        return Ok(Value::Rows(Rows { parts, ..rows.clone() }));
                     }
                     at += part.columns();
                 }
@@ -456,7 +473,7 @@ impl<'a> Lowering<'a> {
     fn width(&self, value: &Value) -> Option<(i64, usize)> {
         match value {
             Value::Picture(picture) => Some((1, self.builder.shape(*picture).channels)),
-            Value::Rows { parts, .. } => Some((2, parts.iter().map(Part::columns).sum())),
+            Value::Rows(rows) => Some((rows.axis, rows.columns())),
             Value::Halves(..) => None,
         }
     }
@@ -527,19 +544,21 @@ impl<'a> Lowering<'a> {
 
     /// What happens to cells behind the last convolutions.
     fn cell_wise(&mut self, node: &NodeProto) -> Result<Value, Refusal> {
-        let (levels, parts) = self.rows(self.input(node, 0)?)?;
+        let first = self.rows(self.input(node, 0)?)?;
         let second = match node.input.get(1) {
             Some(_) => Some(self.rows(self.input(node, 1)?)?),
             None => None,
         };
-        let second = match &second {
-            Some((other, parts)) if *other == levels => Some(&parts[..]),
-            Some(_) => return Err("cells of different levels".to_owned()),
-            None => None,
-        };
-        let part = match (node.op_type.as_str(), &parts[..], second) {
+        if second.as_ref().is_some_and(|s| s.levels != first.levels || s.axis != first.axis) {
+            return Err("cells of different levels".to_owned());
+        }
+        let second = second.as_ref().map(|rows| &rows.parts[..]);
+        let along = |axes: &[i64]| axes == [first.axis];
+        let part = match (node.op_type.as_str(), &first.parts[..], second) {
             ("Sigmoid", [Part::Raw(of)], None) => Part::Sigmoid(of.clone()),
-            ("ReduceMax", [Part::Raw(of)], None) if int(node, "keepdims", 1) == 1 => {
+            ("ReduceMax", [Part::Raw(of)], None)
+                if int(node, "keepdims", 1) == 1 && along(ints(node, "axes")) =>
+            {
                 Part::Most(of.clone())
             }
             ("Sub", [Part::Raw(of)], Some([Part::Most(same)])) if of == same => {
@@ -551,7 +570,7 @@ impl<'a> Lowering<'a> {
             }
             _ => return Err("not a known end of a detector".to_owned()),
         };
-        Ok(Value::Rows { levels, parts: vec![part] })
+        Ok(Value::Rows(Rows { parts: vec![part], ..first }))
     }
 }
 

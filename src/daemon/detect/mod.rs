@@ -24,7 +24,7 @@ use head::Head;
 use letterbox::Letterbox;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-use tract_onnx::{pb, prelude as tract};
+use tract_onnx::{onnx, pb, prelude as tract};
 
 /// Most boxes of one picture that reach non-maximum suppression, best first: eight lanes
 /// of 100 m at jam density, with ten cells firing on each vehicle, stay below.

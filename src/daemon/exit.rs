@@ -95,6 +95,12 @@ pub enum Failure {
         /// What to do.
         hint: &'static str,
     },
+    /// The comparison with ONNX Runtime could not be made.
+    #[error(
+        "ONNX Runtime cannot be run: {0}; the comparison needs python3 with the packages \
+         onnxruntime and numpy (pip install onnxruntime numpy)"
+    )]
+    OnnxRuntime(String),
     /// A part of the demo or the benchmark did not do its work.
     #[error("{0}")]
     Internal(String),
@@ -117,7 +123,9 @@ impl Failure {
             Self::Recording(_) | Self::DemoFiles { .. } => NOINPUT,
             Self::Capture(CaptureError::Read { .. }) => NOINPUT,
             Self::Capture(CaptureError::Decode { .. }) | Self::NothingMeasured { .. } => DATAERR,
-            Self::Capture(CaptureError::Snapshot(_)) | Self::Snapshot(_) => UNAVAILABLE,
+            Self::Capture(CaptureError::Snapshot(_)) | Self::Snapshot(_) | Self::OnnxRuntime(_) => {
+                UNAVAILABLE
+            }
             Self::Broker { .. } => UNAVAILABLE,
             Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,

@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod check;
+mod compare;
 #[cfg(feature = "demo")]
 pub mod demo;
 pub mod detect;

@@ -73,8 +73,8 @@ impl Letterbox {
         }
     }
 
-    #[cfg(test)]
-    fn len(&self) -> usize {
+    /// Values of the input.
+    pub(super) fn len(&self) -> usize {
         3 * self.input[0] * self.input[1]
     }
 

@@ -583,7 +583,11 @@ struct Behind {
 }
 
 /// Weights as floats, one scale an output channel.
-fn floats(values: &Values, scale: Option<&[f32]>, channels: usize) -> Result<Vec<f32>, Refusal> {
+pub(super) fn floats(
+    values: &Values,
+    scale: Option<&[f32]>,
+    channels: usize,
+) -> Result<Vec<f32>, Refusal> {
     let whole: Vec<f32> = match (values, scale) {
         (Values::F32(values), None) => return Ok(values.clone()),
         (Values::I8(values), Some(_)) => values.iter().map(|&v| f32::from(v)).collect(),

@@ -5,6 +5,7 @@
 //! recognised as a whole runs on the project's own kernels, any other in tract.
 
 mod engine;
+mod forms;
 mod graph;
 mod head;
 mod letterbox;
@@ -14,6 +15,7 @@ mod sidecar;
 mod tail;
 
 pub use engine::Precision;
+pub use forms::{Forms, forms};
 pub use sidecar::{Sidecar, SidecarError};
 
 use super::flow::{Detection, Picture};
@@ -92,6 +94,7 @@ pub struct DetectError {
 /// A loaded model.
 #[derive(Debug)]
 pub struct Detector {
+    file: PathBuf,
     engine: Engine,
     sidecar: Sidecar,
     model: ModelRef,
@@ -139,7 +142,19 @@ impl Detector {
         let name = Name::try_from(sidecar.name.as_str()).unwrap_or_default();
         let candidates = Vec::with_capacity(MAX_CANDIDATES);
         let model = ModelRef { name, sha256 };
-        Ok(Self { engine, sidecar, model, head, letterbox, candidates })
+        Ok(Self { file: path, engine, sidecar, model, head, letterbox, candidates })
+    }
+
+    /// The model file.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// The net's input for `picture` as other runtimes take it: three planes of floats.
+    pub fn planes(&mut self, picture: &Picture) -> Vec<f32> {
+        let mut planes = vec![0.0; self.letterbox.len()];
+        self.letterbox.fill(picture, letterbox::Into::Planes(&mut planes));
+        planes
     }
 
     /// Name and hash of the model, for messages.

@@ -529,6 +529,9 @@ pub(crate) unsafe fn depthwise_f<S: Lanes>(
     }
 }
 
+/// Outputs of a row that are summed up together.
+const TOGETHER: usize = 4;
+
 #[inline(always)]
 unsafe fn across_f<S: Lanes, const K: usize>(
     packed: &PackedF,
@@ -538,31 +541,61 @@ unsafe fn across_f<S: Lanes, const K: usize>(
     y: usize,
     padded: usize,
 ) {
+    let Window { stride, pad, from: [_, width], to: [_, outputs], .. } = *window;
+    // Outputs whose windows lie inside from left to right.
+    let first = pad.div_ceil(stride).min(outputs);
+    let last = ((width + pad).saturating_sub(K) / stride + 1).clamp(first, outputs);
     let mut channel = 0;
     while channel < packed.channels {
         // SAFETY: the caller's; weights are filled up to whole vectors.
         unsafe {
             let start = S::load_f(packed.start.as_ptr().add(channel));
-            for x in 0..window.to[1] {
+            let weights = packed.weights.as_ptr().add(channel);
+            let store = |x: usize, sum: S::F| {
+                let out = to.start.add(x * to.stride + channel);
+                S::store_f(out, activate::<S>(sum, packed.slope), packed.channels - channel);
+            };
+            let edge = |x: usize| {
                 let mut sum = start;
                 for k in 0..K {
                     let Some(row) = window.row(y, k) else { continue };
                     for i in 0..K {
-                        let column = (x * window.stride + i).wrapping_sub(window.pad);
-                        if column >= window.from[1] {
-                            continue;
+                        let column = (x * stride + i).wrapping_sub(pad);
+                        if column < width {
+                            let pixel = row * width + column;
+                            let value = S::load_f(from.start.add(pixel * from.stride + channel));
+                            sum = S::mul_add(
+                                value,
+                                S::load_f(weights.add((k * K + i) * padded)),
+                                sum,
+                            );
                         }
-                        let pixel = row * window.from[1] + column;
-                        let value = S::load_f(from.start.add(pixel * from.stride + channel));
-                        let place = (k * K + i) * padded + channel;
-                        let weights = S::load_f(packed.weights.as_ptr().add(place));
-                        sum = S::mul_add(value, weights, sum);
                     }
                 }
-                let value = activate::<S>(sum, packed.slope);
-                let out = to.start.add(x * to.stride + channel);
-                S::store_f(out, value, packed.channels - channel);
+                store(x, sum);
+            };
+            (0..first).for_each(edge);
+            let mut x = first;
+            while x + TOGETHER <= last {
+                let mut sums = [start; TOGETHER];
+                for k in 0..K {
+                    let Some(row) = window.row(y, k) else { continue };
+                    let pixel = row * width + x * stride - pad;
+                    let inputs = from.start.add(pixel * from.stride + channel);
+                    for i in 0..K {
+                        let weight = S::load_f(weights.add((k * K + i) * padded));
+                        for (j, sum) in sums.iter_mut().enumerate() {
+                            let value = S::load_f(inputs.add((j * stride + i) * from.stride));
+                            *sum = S::mul_add(value, weight, *sum);
+                        }
+                    }
+                }
+                for (j, sum) in sums.into_iter().enumerate() {
+                    store(x + j, sum);
+                }
+                x += TOGETHER;
             }
+            (x..outputs).for_each(edge);
         }
         channel += S::N;
     }

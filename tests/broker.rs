@@ -4,14 +4,14 @@
 mod common;
 
 use common::folder;
+use common::mosquitto::{Mosquitto, Running, free_port};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+use verge::daemon::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
-use verge::daemon::publish::{Format, Identity, MqttSettings, Publisher, payload};
+use verge::daemon::publish::{Format, Identity, MqttSettings, MqttVersion, payload};
 use verge::density::{Aggregator, FrameCounts, Start, WindowReport};
 use verge::lane::LaneTable;
 use verge::units::{LaneId, UtcMs, VehicleClass};
@@ -49,14 +49,18 @@ fn windows() -> Vec<WindowReport> {
     closed
 }
 
-fn settings(port: u16) -> MqttSettings {
-    MqttSettings {
-        host: "127.0.0.1".into(),
-        port,
-        client_id: String::new(),
-        credentials: None,
-        root: "verge/k109f".into(),
-        keep_alive: Duration::from_secs(5),
+fn outlet(port: u16, format: Format, version: MqttVersion) -> Outlet {
+    let settings = MqttSettings { version, ..MqttSettings::local(port, "verge/k109f") };
+    Outlet::in_memory(settings, format, identity())
+}
+
+/// Tends the outlet until `done`.
+fn tend(outlet: &mut Outlet, what: &str, done: impl Fn(&Outlet) -> bool) {
+    let started = Instant::now();
+    while !done(outlet) {
+        assert!(started.elapsed() < PATIENCE, "{what}");
+        outlet.tend();
+        std::thread::sleep(Duration::from_millis(10));
     }
 }
 
@@ -89,12 +93,13 @@ fn health() -> payload::Health<'static> {
 fn messages_arrive_in_order_and_match_their_schemas() {
     let port = loopback::start_broker().expect("a broker");
     let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
-    let mut publisher = Publisher::start(settings(port), Format::Json, identity());
+    let mut outlet = outlet(port, Format::Json, MqttVersion::V3);
+    tend(&mut outlet, "a session", Outlet::is_open);
     for report in windows() {
-        publisher.density(&report, true);
+        outlet.density(&report, true);
     }
-    publisher.health(&health());
-    publisher.alarm(
+    outlet.publisher().health(&health());
+    outlet.publisher().alarm(
         "no_picture",
         &payload::Alarm {
             site: "k109f",
@@ -103,7 +108,7 @@ fn messages_arrive_in_order_and_match_their_schemas() {
             active: true,
         },
     );
-    publisher.stop();
+    outlet.stop();
     let mut topics = Vec::new();
     let mut seqs = Vec::new();
     while topics.last().is_none_or(|topic| topic != "presence shutdown") {
@@ -144,103 +149,68 @@ fn messages_arrive_in_order_and_match_their_schemas() {
 fn postcard_messages_decode_to_what_was_measured() {
     let port = loopback::start_broker().expect("a broker");
     let mut subscriber = Subscriber::connect(port, "verge/+/density/#").expect("a subscription");
-    let mut publisher = Publisher::start(settings(port), Format::Postcard, identity());
+    let mut outlet = outlet(port, Format::Postcard, MqttVersion::V3);
+    tend(&mut outlet, "a session", Outlet::is_open);
     let reports = windows();
     for report in &reports {
-        publisher.density(report, false);
+        outlet.density(report, false);
     }
     for report in &reports {
         let (_, bytes) = subscriber.next(PATIENCE).expect("it arrives");
         assert_eq!(&wire::decode(&bytes).expect("a right message").report, report);
     }
-    publisher.stop();
+    outlet.stop();
+}
+
+/// A window as it arrived: its number, and whether it closed a replay.
+fn arrival(subscriber: &mut Subscriber) -> (String, u64, Option<bool>) {
+    let (topic, bytes) = loop {
+        let (topic, bytes) = subscriber.next(PATIENCE).expect("it arrives");
+        if !topic.ends_with("presence") {
+            break (topic, bytes);
+        }
+    };
+    let message: Value = serde_json::from_slice(&bytes).expect("JSON");
+    validate("density", &message);
+    let topic = topic.strip_prefix("verge/k109f/").expect("the site's root").to_owned();
+    (topic, message["seq"].as_u64().expect("a number"), message["done"].as_bool())
 }
 
 #[test]
-fn what_was_measured_while_the_broker_was_away_arrives_later() {
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
-    let port = free.local_addr().expect("its address").port();
-    drop(free);
-    let Some(mosquitto) = Mosquitto::installed() else { return };
-    let mut publisher = Publisher::start(settings(port), Format::Json, identity());
-    let reports = windows();
-    publisher.density(&reports[0], true);
-    std::thread::sleep(Duration::from_millis(500));
-    let mut broker = mosquitto.start(port);
-    let mut subscriber = Subscriber::connect(port, "verge/+/density/#").expect("a subscription");
-    let seq = |subscriber: &mut Subscriber| {
-        let (_, bytes) = subscriber.next(PATIENCE).expect("it arrives");
-        let message: Value = serde_json::from_slice(&bytes).expect("JSON");
-        message["seq"].as_u64().expect("a number")
-    };
-    assert_eq!(seq(&mut subscriber), 1);
-    broker.kill();
-    publisher.density(&reports[1], true);
-    std::thread::sleep(Duration::from_millis(500));
-    let _broker = mosquitto.start(port);
-    let mut subscriber = Subscriber::connect(port, "verge/+/density/#").expect("a subscription");
-    // The first may come again: its acknowledgement can have died with the broker.
-    let mut arrived = seq(&mut subscriber);
-    if arrived == 1 {
-        arrived = seq(&mut subscriber);
-    }
-    assert_eq!(arrived, 2);
-    publisher.stop();
-}
-
-/// Debian's broker, on a port of this machine, ended with the value.
-struct Mosquitto {
-    program: &'static str,
-}
-
-impl Mosquitto {
-    fn installed() -> Option<Self> {
-        let program = ["/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto"]
-            .into_iter()
-            .find(|path| Path::new(path).exists());
-        if program.is_none() {
-            common::skip("mosquitto is not installed");
-        }
-        program.map(|program| Self { program })
-    }
-
-    fn start(&self, port: u16) -> Running {
-        let child = Command::new(self.program)
-            .args(["-p", &port.to_string()])
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("mosquitto starts");
-        let running = Running(child);
-        let started = Instant::now();
-        while TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err() {
-            assert!(started.elapsed() < PATIENCE, "mosquitto does not listen");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        running
-    }
-}
-
-struct Running(Child);
-
-impl Running {
-    fn kill(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.kill();
+fn an_outage_is_replayed_on_its_own_topic() {
+    for version in [MqttVersion::V3, MqttVersion::V5] {
+        let Some(mosquitto) = Mosquitto::installed() else { return };
+        let port = free_port();
+        let mut outlet = outlet(port, Format::Json, version);
+        let reports = windows();
+        outlet.density(&reports[0], true);
+        outlet.density(&reports[1], true);
+        std::thread::sleep(Duration::from_millis(500));
+        let mut broker = mosquitto.start(port);
+        let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
+        tend(&mut outlet, "replay", |outlet| outlet.counts().waiting == 0);
+        let replay = |seq, done| ("replay/density/60s".to_owned(), seq, Some(done));
+        assert_eq!(arrival(&mut subscriber), replay(1, false));
+        assert_eq!(arrival(&mut subscriber), replay(2, true));
+        // Live again, and once more away: what is taken once is not sent again.
+        outlet.density(&reports[0], true);
+        tend(&mut outlet, "an acknowledgement", |outlet| outlet.counts().waiting == 0);
+        assert_eq!(arrival(&mut subscriber), ("density/60s".to_owned(), 3, None));
+        broker.kill();
+        tend(&mut outlet, "the end of the session", |outlet| !outlet.is_open());
+        outlet.density(&reports[1], true);
+        let _broker = mosquitto.start(port);
+        let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
+        tend(&mut outlet, "replay", |outlet| outlet.counts().waiting == 0);
+        assert_eq!(arrival(&mut subscriber), replay(4, true));
+        outlet.stop();
     }
 }
 
 #[test]
 fn mosquitto_sub_receives_what_the_daemon_publishes() {
     let Some(mosquitto) = Mosquitto::installed() else { return };
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
-    let port = free.local_addr().expect("its address").port();
-    drop(free);
+    let port = free_port();
     let _broker = mosquitto.start(port);
     let mut subscription = Command::new("mosquitto_sub")
         .args(["-p", &port.to_string(), "-v", "-t", "verge/k109f/#"])

@@ -69,6 +69,9 @@ pub struct Config {
     /// Where messages go.
     #[serde(default)]
     pub mqtt: Mqtt,
+    /// What is kept until it has arrived.
+    #[serde(default)]
+    pub spool: Spool,
 }
 
 /// Where pictures come from.
@@ -138,6 +141,22 @@ impl Default for Windows {
     }
 }
 
+/// What is kept until it has arrived.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Spool {
+    /// Folder of the windows that the broker has not taken yet.
+    pub folder: PathBuf,
+    /// Time for which windows are kept while the broker is away, days.
+    pub days: f64,
+}
+
+impl Default for Spool {
+    fn default() -> Self {
+        Self { folder: PathBuf::from("spool"), days: 7.0 }
+    }
+}
+
 /// Where messages go.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -158,6 +177,10 @@ pub struct Mqtt {
     pub password_file: Option<PathBuf>,
     /// Silence after which the connection is tested, s.
     pub keep_alive_s: u64,
+    /// Version of the protocol, `3.1.1` or `5`.
+    pub version: super::publish::MqttVersion,
+    /// Most windows of an outage that are sent later, a second.
+    pub replay_per_s: f64,
 }
 
 impl Default for Mqtt {
@@ -171,6 +194,8 @@ impl Default for Mqtt {
             user: None,
             password_file: None,
             keep_alive_s: 30,
+            version: super::publish::MqttVersion::V3,
+            replay_per_s: 10.0,
         }
     }
 }
@@ -224,10 +249,24 @@ impl Config {
         Duration::from_secs_f64(self.camera.interval_s)
     }
 
+    /// Folder of the windows that have not arrived.
+    pub fn spool_folder(&self) -> &Path {
+        &self.spool.folder
+    }
+
+    /// How many windows the spool must hold.
+    pub fn spool_windows(&self) -> u64 {
+        let a_day: u64 = self.windows.lengths_s.iter().map(|&s| 86_400_u64.div_ceil(s)).sum();
+        (a_day as f64 * self.spool.days).ceil() as u64
+    }
+
     fn resolve(&mut self, folder: &Path) {
         let absolute = |path: &mut PathBuf| *path = folder.join(&*path);
         absolute(&mut self.model.file);
         absolute(&mut self.lane_table.file);
+        // Where systemd gives a folder for state, it is meant for this.
+        let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);
+        self.spool.folder = state.join(&self.spool.folder);
         self.camera.password_file.as_mut().map(absolute);
         self.mqtt.password_file.as_mut().map(absolute);
         if !self.camera.is_snapshot() {
@@ -279,6 +318,16 @@ impl Config {
             self.mqtt.keep_alive_s >= 5,
             "mqtt.keep_alive_s",
             format!("{} s: give at least 5", self.mqtt.keep_alive_s),
+        )?;
+        known(
+            (0.1..=1000.0).contains(&self.mqtt.replay_per_s),
+            "mqtt.replay_per_s",
+            format!("{}: give 0.1 to 1000", self.mqtt.replay_per_s),
+        )?;
+        known(
+            (0.01..=60.0).contains(&self.spool.days),
+            "spool.days",
+            format!("{}: give 0.01 to 60", self.spool.days),
         )
     }
 }
@@ -358,6 +407,9 @@ mod tests {
             ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
             ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
             ("#format = \"json\"", "format = \"xml\"", "xml"),
+            ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
+            ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
+            ("#days = 7.0", "days = 90", "spool.days"),
         ] {
             let bad = EXAMPLE.replacen(from, to, 1);
             assert_ne!(bad, EXAMPLE, "{from}");

@@ -7,6 +7,7 @@ use super::capture::{CaptureError, RecordingError, SnapshotError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
 use super::locate::LocateError;
+use super::spool::SpoolError;
 use crate::density::AggregateError;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -48,6 +49,9 @@ pub enum Failure {
     /// The lane table.
     #[error(transparent)]
     Locate(#[from] LocateError),
+    /// The spool.
+    #[error(transparent)]
+    Spool(#[from] SpoolError),
     /// The windows.
     #[error(transparent)]
     Aggregate(#[from] AggregateError),
@@ -124,7 +128,8 @@ impl Failure {
             Self::Model(_) => DATAERR,
             Self::Locate(LocateError::Read { .. }) => NOINPUT,
             Self::Locate(_) => DATAERR,
-            Self::Write { .. } => CANTCREAT,
+            Self::Spool(SpoolError::Version(_)) => DATAERR,
+            Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,
             Self::Detect(_) | Self::Internal(_) => SOFTWARE,
         }

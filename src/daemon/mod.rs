@@ -7,7 +7,8 @@
 //!
 //! Owns the order of the stages: this is the only file that names two of them. Each stage
 //! is a module that knows the values of [`flow`] and no other stage; aggregation is the
-//! core's [`crate::density`].
+//! core's [`crate::density`]. Between aggregation and the broker the [`spool`] keeps what
+//! has not arrived.
 
 pub mod capture;
 mod cli;
@@ -21,8 +22,9 @@ pub mod locate;
 mod output;
 mod playback;
 pub mod publish;
+pub mod spool;
 
-use crate::density::{Aggregator, Closed, FrameCounts, SampleZoneStatus, Start};
+use crate::density::{Aggregator, Closed, FrameCounts, SampleZoneStatus, Start, WindowReport};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use crate::lane::{Description, Place};
 use crate::units::{ImagePoint, UtcMs};
@@ -32,7 +34,8 @@ use detect::Detector;
 use exit::Failure;
 use flow::{Detection, Frame};
 use locate::{Anchor, LocateError, Located, Locator};
-use publish::{Identity, MqttSettings, Publisher};
+use publish::{Delivery, Format, Identity, MqttSettings, Publisher};
+use spool::{Spool, SpoolCounts};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -368,11 +371,98 @@ fn broker(config: &Config) -> Result<MqttSettings, Failure> {
         credentials: config.mqtt_secret()?,
         root: config.root_topic(),
         keep_alive: Duration::from_secs(config.mqtt.keep_alive_s),
+        version: config.mqtt.version,
+        replay_per_s: config.mqtt.replay_per_s,
     })
 }
 
+/// The end of the line: windows into the spool, and from there to the broker.
+///
+/// What closes while a session is open is sent at once; what closed before it, or was on its
+/// way when an earlier one broke, follows as replay.
+#[derive(Debug)]
+pub struct Outlet {
+    identity: Identity,
+    spool: Spool,
+    publisher: Publisher,
+}
+
+impl Outlet {
+    /// Starts publishing; a broker that is away is no error.
+    pub fn start(broker: MqttSettings, format: Format, identity: Identity, spool: Spool) -> Self {
+        Self { identity, spool, publisher: Publisher::start(broker, format) }
+    }
+
+    /// The same without a disk: what has not arrived ends with the program.
+    pub fn in_memory(broker: MqttSettings, format: Format, identity: Identity) -> Self {
+        Self::start(broker, format, identity, Spool::in_memory())
+    }
+
+    /// Takes a window. It outlives the program from here on, unless the disk refuses it.
+    pub fn density(&mut self, report: &WindowReport, clock_synced: bool) {
+        let identity = &self.identity;
+        let length_s = report.to.saturating_since(report.from).as_secs();
+        let length_s = u32::try_from(length_s).unwrap_or(u32::MAX);
+        let number = |seq| identity.message(report, clock_synced, seq);
+        let (key, message) = self.spool.accept(length_s, number);
+        self.hear();
+        if self.publisher.live(key, &message) {
+            self.spool.give(key);
+        }
+    }
+
+    /// Hears what the broker has taken and sends what an outage has left; to be called a few
+    /// times a second.
+    pub fn tend(&mut self) {
+        self.hear();
+        for _ in 0..self.publisher.arrears_wanted() {
+            let Some(arrear) = self.spool.next_arrear() else { return };
+            self.publisher.arrear(arrear.key, &arrear.message, arrear.is_last);
+        }
+    }
+
+    fn hear(&mut self) {
+        while let Some(delivery) = self.publisher.delivery() {
+            match delivery {
+                Delivery::Opened => self.spool.rewind(),
+                Delivery::Closed => {}
+                Delivery::Taken(key) => self.spool.acknowledge(key),
+            }
+        }
+    }
+
+    /// Whether a session with the broker is open.
+    pub fn is_open(&self) -> bool {
+        self.publisher.is_open()
+    }
+
+    /// For what is no window: health and alarms.
+    pub fn publisher(&self) -> &Publisher {
+        &self.publisher
+    }
+
+    /// What waits, and what was lost.
+    pub fn counts(&self) -> SpoolCounts {
+        self.spool.counts()
+    }
+
+    /// Says goodbye to the broker. What it has not taken waits on the disk for a next run.
+    pub fn stop(mut self) {
+        self.hear();
+        self.publisher.stop().for_each(|key| self.spool.acknowledge(key));
+        self.spool.note_acknowledged();
+        let SpoolCounts { waiting, in_memory, .. } = self.spool.counts();
+        if in_memory > 0 {
+            log::error!("{in_memory} windows are lost: neither broker nor disk took them");
+        }
+        if waiting > in_memory {
+            log::info!("{} windows wait on the disk", waiting - in_memory);
+        }
+    }
+}
+
 /// Starts publishing what a line measures.
-fn open_publisher(config: &Config, line: &Line) -> Result<Publisher, Failure> {
-    let identity = line.identity(&config.site);
-    Ok(Publisher::start(broker(config)?, config.mqtt.format, identity))
+fn open_outlet(config: &Config, line: &Line) -> Result<Outlet, Failure> {
+    let spool = Spool::open(config.spool_folder(), config.spool_windows())?;
+    Ok(Outlet::start(broker(config)?, config.mqtt.format, line.identity(&config.site), spool))
 }

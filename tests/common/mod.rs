@@ -1,6 +1,8 @@
 //! What the end-to-end tests share: where data lies, and how a test says that it is skipped.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
+pub mod mosquitto;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -8,8 +8,8 @@ use crate::daemon::config::DEFAULT_MODEL;
 use crate::daemon::exit::Failure;
 use crate::daemon::playback::play;
 use crate::daemon::publish::loopback::{self, Subscriber};
-use crate::daemon::publish::{Format, MqttSettings, Publisher};
-use crate::daemon::{LineSettings, open_recording};
+use crate::daemon::publish::{Format, MqttSettings};
+use crate::daemon::{LineSettings, Outlet, open_recording};
 use serde_json::Value;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -36,28 +36,20 @@ pub fn run() -> Result<(), Failure> {
         recording.table,
     );
     let printer = thread::spawn(move || print_until_shutdown(subscriber));
-    let broker = MqttSettings {
-        host: "127.0.0.1".into(),
-        port,
-        client_id: String::new(),
-        credentials: None,
-        root: ROOT.into(),
-        keep_alive: Duration::from_secs(30),
-    };
     let frames = recorded.frames();
-    let mut publisher = Publisher::start(broker, Format::Json, line.identity("demo"));
+    let broker = MqttSettings::local(port, ROOT);
+    let mut outlet = Outlet::in_memory(broker, Format::Json, line.identity("demo"));
     let played = play(
         recorded,
         &mut line,
         |_, _| Ok(()),
         |closed| {
-            for report in closed {
-                publisher.density(report, false);
-            }
+            closed.iter().for_each(|report| outlet.density(report, false));
+            outlet.tend();
             Ok(())
         },
     );
-    publisher.stop();
+    outlet.stop();
     let lanes = printer.join().unwrap_or_default();
     played?;
     if lanes == 0 {

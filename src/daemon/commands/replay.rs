@@ -56,7 +56,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let clock_synced = recorded.tells_time();
     let site = line.counting().table().camera_id.clone();
-    let mut identity = line.identity(&site);
+    let identity = line.identity(&site);
+    let mut seq = 0;
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
     let mut heading = (!args.json).then_some(text::LANE_HEADING);
     play(
@@ -69,7 +70,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         |closed| {
             for report in closed {
                 if args.json {
-                    let json = payload::density(&identity.message(report, clock_synced));
+                    seq += 1;
+                    let message = identity.message(report, clock_synced, seq);
+                    let json = payload::density(&message, None);
                     print(&String::from_utf8_lossy(&json))?;
                     continue;
                 }

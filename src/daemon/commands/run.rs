@@ -3,9 +3,8 @@
 use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
-use crate::daemon::publish::Publisher;
 use crate::daemon::publish::payload::{self, Frames, Messages, status_name};
-use crate::daemon::{Station, open_publisher};
+use crate::daemon::{Outlet, Station, open_outlet};
 use crate::density::{Closed, SampleZoneStatus};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use crate::health::{Actions, Alarm, Event, Health};
@@ -30,9 +29,9 @@ where
     let config = Config::read(config)?;
     let stop = stop_flag()?;
     let station = Station::open(&config)?;
-    let publisher = open_publisher(&config, &station.line)?;
+    let outlet = open_outlet(&config, &station.line)?;
     log::info!("site {}: measuring every {:?}", config.site, config.interval());
-    let mut sensor = Sensor::new(&config, station, publisher);
+    let mut sensor = Sensor::new(&config, station, outlet);
     let mut next = Instant::now();
     while !stop.load(Ordering::Relaxed) {
         let mut event = None;
@@ -45,7 +44,7 @@ where
         std::thread::sleep(next.saturating_duration_since(Instant::now()).min(TICK));
     }
     log::info!("stopping");
-    sensor.publisher.stop();
+    sensor.outlet.stop();
     Ok(())
 }
 
@@ -83,7 +82,7 @@ where
 struct Sensor {
     site: String,
     station: Station,
-    publisher: Publisher,
+    outlet: Outlet,
     started: Instant,
     health: Health,
     actions: Option<Actions>,
@@ -93,11 +92,11 @@ struct Sensor {
 }
 
 impl Sensor {
-    fn new(config: &Config, station: Station, publisher: Publisher) -> Self {
+    fn new(config: &Config, station: Station, outlet: Outlet) -> Self {
         Self {
             site: config.site.clone(),
             station,
-            publisher,
+            outlet,
             started: Instant::now(),
             health: Health::new(config.interval(), Duration::ZERO),
             actions: None,
@@ -150,6 +149,7 @@ impl Sensor {
     fn settle(&mut self, event: Option<Event>) -> Actions {
         let closed = self.station.line.counting().windows().advance(clock::now());
         self.publish(&closed);
+        self.outlet.tend();
         let since_start = self.started.elapsed();
         let actions = match event {
             Some(event) => self.health.on(event, since_start),
@@ -171,7 +171,7 @@ impl Sensor {
 
     fn publish(&mut self, closed: &Closed) {
         for report in closed {
-            self.publisher.density(report, clock::is_synchronised());
+            self.outlet.density(report, clock::is_synchronised());
         }
     }
 
@@ -183,13 +183,16 @@ impl Sensor {
             log::info!("alarm {name} is over");
         }
         let time = clock::rfc3339(clock::now());
-        self.publisher.alarm(name, &payload::Alarm { site: &self.site, time, name, active });
+        self.outlet
+            .publisher()
+            .alarm(name, &payload::Alarm { site: &self.site, time, name, active });
     }
 
     fn publish_health(&self, actions: Actions) {
         let now: UtcMs = clock::now();
-        let statistics = self.publisher.statistics();
-        self.publisher.health(&payload::Health {
+        let (delivered, refused) = self.outlet.publisher().counts();
+        let spool = self.outlet.counts();
+        self.outlet.publisher().health(&payload::Health {
             site: &self.site,
             time: clock::rfc3339(now),
             version: env!("CARGO_PKG_VERSION"),
@@ -199,9 +202,12 @@ impl Sensor {
             clock_synced: clock::is_synchronised(),
             frames: self.frames,
             messages: Messages {
-                delivered: statistics.delivered.load(Ordering::Relaxed),
-                waiting: statistics.waiting.load(Ordering::Relaxed),
-                dropped: statistics.dropped.load(Ordering::Relaxed),
+                delivered,
+                refused,
+                waiting: spool.waiting,
+                in_memory: spool.in_memory,
+                dropped: spool.dropped,
+                damaged: spool.damaged,
             },
             last_fault: self.last_fault.as_deref(),
         });

@@ -1,26 +1,33 @@
-//! Publish: the last stage, from a [`WindowReport`] to messages at the broker.
+//! Publish: the last stage, from a window to messages at the broker.
 //!
-//! Owns topics, formats and numbering. The door of the crate `rumqttc` is `mqtt`; what
-//! the messages look like in JSON stands in [`payload`].
+//! Owns topics, formats and the rate of replay. What is kept until it has arrived is the
+//! spool's; the connection is `mqtt`'s; what the messages look like in JSON stands in
+//! [`payload`].
 
 #[cfg(feature = "demo")]
 pub mod loopback;
 mod mqtt;
 pub mod payload;
 
-pub use mqtt::{MqttSettings, Statistics, probe};
+pub use mqtt::{MqttSettings, MqttVersion, probe};
 
 use crate::density::WindowReport;
 use crate::lane::{Description, Name};
 use crate::wire::{self, CalibrationRef, DensityMessage, MAX_MESSAGE, ModelRef};
-use mqtt::{Connection, Message};
+use mqtt::{Connection, Message, Report};
 use serde::Deserialize;
-use std::collections::BTreeMap;
-use std::sync::Arc;
-use std::time::Duration;
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
 
 /// How long a stop waits for the broker to take what is left.
 const DRAIN: Duration = Duration::from_secs(3);
+/// Most live windows that wait for their acknowledgement; what comes on top of them goes
+/// the way of an outage.
+const MAX_LIVE: usize = 64;
+/// Of a message that is no window of the spool.
+const NO_KEY: u64 = u64::MAX;
+/// Most windows of an outage that wait for theirs.
+const MAX_ARREARS: usize = 32;
 
 /// How density messages are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -39,7 +46,6 @@ pub struct Identity {
     site: Name,
     calibration: CalibrationRef,
     model: ModelRef,
-    seq: BTreeMap<u64, u64>,
 }
 
 impl Identity {
@@ -53,17 +59,14 @@ impl Identity {
                 rel_err: table.length_rel_err,
             },
             model: model.clone(),
-            seq: BTreeMap::new(),
         }
     }
 
-    /// The next message of the report's window length.
-    pub fn message(&mut self, report: &WindowReport, clock_synced: bool) -> DensityMessage {
-        let seq = self.seq.entry(window_s(report)).or_default();
-        *seq += 1;
+    /// The message of a window with its number.
+    pub fn message(&self, report: &WindowReport, clock_synced: bool, seq: u64) -> DensityMessage {
         DensityMessage {
             site: self.site.clone(),
-            seq: *seq,
+            seq,
             clock_synced,
             report: report.clone(),
             calibration: self.calibration.clone(),
@@ -83,10 +86,6 @@ fn short_name(text: &str) -> Name {
     name
 }
 
-fn window_s(report: &WindowReport) -> u64 {
-    report.to.saturating_since(report.from).as_secs()
-}
-
 /// The window's name in topics: `60s`, `5min`.
 pub fn window_name(length: Duration) -> String {
     match length.as_secs() {
@@ -95,65 +94,161 @@ pub fn window_name(length: Duration) -> String {
     }
 }
 
+/// What has become of the connection and of the windows given to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Delivery {
+    /// A session is open: it knows nothing of what was given before.
+    Opened,
+    /// The session has ended.
+    Closed,
+    /// The broker has taken the window with this key.
+    Taken(u64),
+}
+
 /// Sends what the line measures.
 #[derive(Debug)]
 pub struct Publisher {
-    identity: Identity,
     root: String,
     format: Format,
     connection: Connection,
+    /// The open session, as far as its reports were read.
+    session: Option<u64>,
+    live: BTreeSet<u64>,
+    arrears: BTreeSet<u64>,
+    replay_per_s: f64,
+    /// Windows of an outage that may be sent now, and since when it is so.
+    allowance: (f64, Instant),
 }
 
 impl Publisher {
     /// Starts the connection, in a thread of its own; a broker that is away is no error.
-    pub fn start(settings: MqttSettings, format: Format, identity: Identity) -> Self {
-        let root = settings.root.clone();
-        Self { identity, root, format, connection: Connection::start(settings) }
+    pub fn start(settings: MqttSettings, format: Format) -> Self {
+        Self {
+            root: settings.root.clone(),
+            format,
+            replay_per_s: settings.replay_per_s,
+            connection: Connection::start(settings),
+            session: None,
+            live: BTreeSet::new(),
+            arrears: BTreeSet::new(),
+            allowance: (0.0, Instant::now()),
+        }
     }
 
-    /// Sends one window.
-    pub fn density(&mut self, report: &WindowReport, clock_synced: bool) {
-        let message = self.identity.message(report, clock_synced);
-        let payload = match self.format {
-            Format::Json => payload::density(&message),
-            Format::Postcard => {
-                let mut buffer = [0; MAX_MESSAGE];
-                match wire::encode(&message, &mut buffer) {
-                    Ok(bytes) => bytes.to_vec(),
-                    Err(error) => {
-                        log::error!("a window is lost: {error}");
-                        return;
-                    }
-                }
-            }
+    /// Whether a session is open.
+    pub fn is_open(&self) -> bool {
+        self.session.is_some()
+    }
+
+    /// Sends a window that has just closed; false where no session can take it now.
+    pub fn live(&mut self, key: u64, message: &DensityMessage) -> bool {
+        let Some(session) = self.session.filter(|_| self.live.len() < MAX_LIVE) else {
+            return false;
         };
-        let window = window_name(Duration::from_secs(window_s(report)));
-        self.send(&format!("density/{window}"), payload, false);
+        self.live.insert(key);
+        let topic = self.topic("density", message);
+        let payload = self.payload(message, None);
+        self.connection.window(session, key, true, Message { topic, payload, retain: false });
+        true
+    }
+
+    /// How many windows of an outage may be sent now.
+    pub fn arrears_wanted(&mut self) -> usize {
+        let now = Instant::now();
+        let (allowed, since) = self.allowance;
+        // What was not used in a second is not saved up for a burst.
+        let most = self.replay_per_s.max(1.0);
+        let earned = now.duration_since(since).as_secs_f64() * self.replay_per_s;
+        self.allowance = ((allowed + earned).min(most), now);
+        match self.session {
+            Some(_) => (self.allowance.0 as usize).min(MAX_ARREARS - self.arrears.len()),
+            None => 0,
+        }
+    }
+
+    /// Sends a window of an outage; `done` with the last one of its length.
+    pub fn arrear(&mut self, key: u64, message: &DensityMessage, done: bool) {
+        let Some(session) = self.session else { return };
+        self.allowance.0 -= 1.0;
+        self.arrears.insert(key);
+        let topic = self.topic("replay/density", message);
+        let payload = self.payload(message, Some(done));
+        let send = |key, topic, payload| {
+            let message = Message { topic, payload, retain: false };
+            self.connection.window(session, key, false, message);
+        };
+        send(key, topic.clone(), payload);
+        if done && self.format == Format::Postcard {
+            // The binary form has no place for `done`: an empty message says it.
+            send(NO_KEY, topic, Vec::new());
+        }
+    }
+
+    /// What has happened since it was asked last, in its order.
+    pub fn delivery(&mut self) -> Option<Delivery> {
+        let report = self.connection.report()?;
+        Some(self.heard(report))
+    }
+
+    fn heard(&mut self, report: Report) -> Delivery {
+        match report {
+            Report::Taken { key } => {
+                self.live.remove(&key);
+                self.arrears.remove(&key);
+                return Delivery::Taken(key);
+            }
+            Report::Opened { session } => self.session = Some(session),
+            Report::Closed => self.session = None,
+        }
+        self.live.clear();
+        self.arrears.clear();
+        if self.is_open() { Delivery::Opened } else { Delivery::Closed }
     }
 
     /// Sends the state of the sensor, kept by the broker for those who come later.
     pub fn health(&self, health: &payload::Health<'_>) {
-        self.send("health", payload::health(health), true);
+        self.state("health", payload::health(health));
     }
 
     /// Raises or clears an alarm, kept by the broker.
     pub fn alarm(&self, name: &str, alarm: &payload::Alarm<'_>) {
-        self.send(&format!("alarm/{name}"), payload::alarm(alarm), true);
+        self.state(&format!("alarm/{name}"), payload::alarm(alarm));
     }
 
-    /// What has become of the messages so far.
-    pub fn statistics(&self) -> Arc<Statistics> {
-        self.connection.statistics()
+    /// Messages that the broker has taken, and refused, since start.
+    pub fn counts(&self) -> (u64, u64) {
+        (self.connection.delivered(), self.connection.refused())
     }
 
-    /// Says goodbye: waits a moment for what is left, then publishes `shutdown`.
-    pub fn stop(self) {
-        self.connection.stop(DRAIN);
+    /// Says goodbye: waits a moment for what is on its way, then publishes `shutdown`.
+    /// Returns what was delivered meanwhile.
+    pub fn stop(self) -> impl Iterator<Item = u64> {
+        self.connection.stop(DRAIN).into_iter().filter_map(|report| match report {
+            Report::Taken { key } => Some(key),
+            Report::Opened { .. } | Report::Closed => None,
+        })
     }
 
-    fn send(&self, topic: &str, payload: Vec<u8>, retain: bool) {
+    fn state(&self, topic: &str, payload: Vec<u8>) {
         let topic = format!("{}/{topic}", self.root);
-        self.connection.send(Message { topic, payload, retain });
+        self.connection.state(Message { topic, payload, retain: true });
+    }
+
+    fn topic(&self, kind: &str, message: &DensityMessage) -> String {
+        let report = &message.report;
+        let window = window_name(report.to.saturating_since(report.from));
+        format!("{}/{kind}/{window}", self.root)
+    }
+
+    fn payload(&self, message: &DensityMessage, done: Option<bool>) -> Vec<u8> {
+        match self.format {
+            Format::Json => payload::density(message, done),
+            Format::Postcard => {
+                let mut buffer = [0; MAX_MESSAGE];
+                let bytes = wire::encode(message, &mut buffer);
+                bytes.expect("MAX_MESSAGE holds every message").to_vec()
+            }
+        }
     }
 }
 

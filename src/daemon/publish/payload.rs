@@ -33,6 +33,8 @@ struct Density<'a> {
     lanes: Vec<Lane<'a>>,
     calibration: Calibration<'a>,
     model: Model<'a>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    done: Option<bool>,
 }
 
 #[derive(Serialize)]
@@ -99,8 +101,9 @@ fn round(value: f32) -> f32 {
     (value * 1e4).round() / 1e4
 }
 
-/// One window of one site.
-pub fn density(message: &DensityMessage) -> Vec<u8> {
+/// One window of one site. `done` stands in replayed windows alone: whether it is the last
+/// of its length that was waiting.
+pub fn density(message: &DensityMessage, done: Option<bool>) -> Vec<u8> {
     let report = &message.report;
     json(&Density {
         schema: SCHEMA,
@@ -117,6 +120,7 @@ pub fn density(message: &DensityMessage) -> Vec<u8> {
             rel_err: message.calibration.rel_err,
         },
         model: Model { name: &message.model.name, sha256: hex(&message.model.sha256) },
+        done,
     })
 }
 
@@ -163,10 +167,16 @@ pub struct Frames {
 pub struct Messages {
     /// Taken over by the broker.
     pub delivered: u64,
-    /// Waiting for the broker.
+    /// Refused by the broker.
+    pub refused: u64,
+    /// Windows waiting for the broker.
     pub waiting: u64,
-    /// Dropped because too many waited.
+    /// Of these, windows that only the memory holds because the disk refuses them.
+    pub in_memory: u64,
+    /// Windows dropped because too many waited.
     pub dropped: u64,
+    /// Records of the spool that could not be read.
+    pub damaged: u64,
 }
 
 /// An alarm that is raised or cleared.

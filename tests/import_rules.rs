@@ -41,10 +41,13 @@ fn names(code: &str, word: &str) -> bool {
 
 #[test]
 fn the_core_sees_no_std_log_clock_or_heap() {
-    for file in ["units", "lane", "density", "wire", "hal", "health"] {
-        let code = code(&fs::read_to_string(format!("src/{file}.rs")).expect("a core file"));
+    let files = ["units", "lane", "density", "wire", "hal", "health", "picture"];
+    let read = |file: &str| fs::read_to_string(format!("src/{file}.rs")).expect("a core file");
+    let single = files.map(|file| (PathBuf::from(file), read(file)));
+    for (path, text) in single.into_iter().chain(sources("src/scene")) {
+        let code = code(&text);
         for word in ["std", "alloc", "log", "Instant", "SystemTime", "daemon"] {
-            assert!(!names(&code, word), "src/{file}.rs names {word}");
+            assert!(!names(&code, word), "{} names {word}", path.display());
         }
     }
 }

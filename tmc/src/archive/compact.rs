@@ -11,11 +11,13 @@ use crate::store::{self, DAY_MS, Partition, Row};
 use crate::whole;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 /// Partitions that are written at the same time; each holds one site's day in memory.
 const WRITERS: usize = 8;
+/// Segments are read together up to this size, bytes of messages; in memory they take less.
+const AT_ONCE_BYTES: usize = 256 << 20;
 
 /// What a compaction did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -64,48 +66,70 @@ pub struct Gap {
 
 /// Moves closed segments into the archive under `root`.
 ///
+/// Several at once where they are small: a day's file is then rewritten once for all of them.
+///
 /// # Errors
 /// [`Failure`]; the segments then stay and are tried again.
-pub fn compact(root: &Path, segments: &[std::path::PathBuf]) -> Result<Done, Failure> {
+pub fn compact(root: &Path, segments: &[PathBuf]) -> Result<Done, Failure> {
     let mut done = Done::default();
-    for segment in segments {
-        let (payloads, torn) = journal::read(segment)?;
-        if torn > 0 {
-            eprintln!("verge-tmc: {} ends in {torn} torn bytes: cut", segment.display());
-        }
-        let mut days: BTreeMap<Partition, Vec<Window>> = BTreeMap::new();
-        let mut rejected = Vec::new();
-        for payload in payloads {
-            match Window::parse(&payload) {
-                Ok(window) => {
-                    let day = window.from_ms().div_euclid(DAY_MS);
-                    let partition = Partition { site: window.site.clone(), day };
-                    days.entry(partition).or_default().push(window);
-                }
-                Err(reason) => {
-                    if done.rejected == 0 {
-                        eprintln!("verge-tmc: a message is rejected: it {reason}");
-                    }
-                    done.rejected += 1;
-                    rejected.extend(payload);
-                    rejected.push(b'\n');
-                }
-            }
-        }
-        let name = |path: Option<&Path>| {
-            path.and_then(Path::file_stem).unwrap_or_default().to_string_lossy().into_owned()
-        };
-        if !rejected.is_empty() {
-            let own = format!("{}-{}.txt", name(segment.parent()), name(Some(segment)));
-            whole::write(&root.join("_rejected").join(own), &rejected)?;
+    let mut rest = segments;
+    while !rest.is_empty() {
+        let mut days = BTreeMap::new();
+        let (mut bytes, mut count) = (0, 0);
+        while bytes < AT_ONCE_BYTES && count < rest.len() {
+            bytes += take_segment(root, &rest[count], &mut days, &mut done)?;
+            count += 1;
         }
         let path = root.join("_lock");
         let lock = File::create(&path).map_err(|source| Failure::writing(&path, source))?;
         lock.lock().map_err(|source| Failure::writing(&path, source))?;
         done.take(merge_all(root, days)?);
-        fs::remove_file(segment).map_err(|source| Failure::writing(segment, source))?;
+        for segment in &rest[..count] {
+            fs::remove_file(segment).map_err(|source| Failure::writing(segment, source))?;
+        }
+        rest = &rest[count..];
     }
     Ok(done)
+}
+
+/// Reads a segment's windows into their days and keeps aside what cannot be read; its size.
+fn take_segment(
+    root: &Path,
+    segment: &Path,
+    days: &mut BTreeMap<Partition, Vec<Window>>,
+    done: &mut Done,
+) -> Result<usize, Failure> {
+    let (payloads, torn) = journal::read(segment)?;
+    if torn > 0 {
+        eprintln!("verge-tmc: {}: {torn} bytes are torn, passed over", segment.display());
+    }
+    let (mut bytes, mut rejected) = (0, Vec::new());
+    for payload in payloads {
+        bytes += payload.len();
+        match Window::parse(&payload) {
+            Ok(window) => {
+                let day = window.from_ms().div_euclid(DAY_MS);
+                let partition = Partition { site: window.site.clone(), day };
+                days.entry(partition).or_default().push(window);
+            }
+            Err(reason) => {
+                if done.rejected == 0 {
+                    eprintln!("verge-tmc: a message is rejected: {reason}");
+                }
+                done.rejected += 1;
+                rejected.extend(payload);
+                rejected.push(b'\n');
+            }
+        }
+    }
+    if !rejected.is_empty() {
+        let name = |path: Option<&Path>| {
+            path.and_then(Path::file_stem).unwrap_or_default().to_string_lossy().into_owned()
+        };
+        let own = format!("{}-{}.txt", name(segment.parent()), name(Some(segment)));
+        whole::write(&root.join("_rejected").join(own), &rejected)?;
+    }
+    Ok(bytes)
 }
 
 /// Merges partitions side by side: the time goes into waiting for the disk.
@@ -257,6 +281,22 @@ mod tests {
         let keys: BTreeSet<_> = rows.iter().map(Row::key).collect();
         assert_eq!(keys.len(), rows.len());
         assert_eq!(fs::read_dir(root.join("_rejected")).unwrap().count(), 1);
+        assert!(journal.closed().unwrap().is_empty());
+    }
+
+    #[test]
+    fn several_segments_become_one_day() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let mut journal = Journal::open(&root.join("_journal/a")).unwrap();
+        for seq in [2, 1, 2, 3] {
+            journal.append([minute("a", seq).as_bytes()].into_iter()).unwrap();
+            journal.close_segment();
+        }
+        let segments = journal.closed().unwrap();
+        assert_eq!(segments.len(), 4);
+        let done = compact(root, &segments).unwrap();
+        assert_eq!((done.windows, done.duplicates, done.gaps), (3, 1, vec![]));
         assert!(journal.closed().unwrap().is_empty());
     }
 

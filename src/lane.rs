@@ -7,17 +7,23 @@
 //! | offset | bytes | field |
 //! |---|---|---|
 //! | 0 | 8 | magic `VERGELUT` |
-//! | 8 | 1 | format version, 1 |
+//! | 8 | 1 | format version, 1 or 2 |
 //! | 9 | 1 | reserved, 0 |
 //! | 10 | 2 | length M of the description |
 //! | 12 | M | description: [`Description`] in postcard |
 //! | 12+M | 5 N | N = width x height cells in row order |
-//! | 12+M+5N | 4 | CRC-32 (ISO-HDLC) of all bytes before |
+//! | 12+M+5N | 4 | version 2 only: length R of the scene's reference |
+//! | 16+M+5N | R | version 2 only: [`crate::scene::Reference`] |
+//! | the last | 4 | CRC-32 (ISO-HDLC) of all bytes before |
+//!
+//! Version 1 is a table without a reference: the camera is then not checked for having
+//! moved. It is written where there is none, so that older programs read such tables.
 //!
 //! Numbers are little-endian. A cell is `lane: u8` (0: no lane), `s_cm: u16` (distance
 //! along the lane in cm, to 655 m) and `span_mm: u16` (road length along the lane that
 //! one pixel spans there, in mm, to 65 m).
 
+use crate::scene::{MAX_REFERENCE, Reference, ReferenceError};
 use crate::units::{Direction, ImagePoint, ImageSize, LaneId, MAX_LANES};
 use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc};
@@ -25,8 +31,10 @@ use serde::{Deserialize, Serialize};
 
 /// First bytes of every lane table.
 pub const MAGIC: [u8; 8] = *b"VERGELUT";
-/// The format that this code reads and writes.
-pub const VERSION: u8 = 1;
+/// The newest format that this code reads and writes.
+pub const VERSION: u8 = 2;
+/// The format of a table without a reference of the scene.
+const VERSION_BARE: u8 = 1;
 /// Longest camera or calibration name, bytes of UTF-8: NTCIP and FIWARE ids fit.
 pub const MAX_NAME: usize = 48;
 /// Most bytes that a [`Description`] takes in postcard: two names, a hash, eight lanes of
@@ -39,6 +47,7 @@ pub const MAX_LANE_LENGTH_M: f32 = 655.35;
 
 const HEADER: usize = 12;
 const CELL: usize = 5;
+const LENGTH: usize = 4;
 const TRAILER: usize = 4;
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -131,6 +140,8 @@ pub enum LaneTableError {
         /// Index of the cell in row order.
         cell: usize,
     },
+    /// The reference of the scene is wrong.
+    Scene(ReferenceError),
     /// The buffer given to the writer is too small.
     Buffer {
         /// Bytes needed.
@@ -151,7 +162,10 @@ impl fmt::Display for LaneTableError {
             }
             Self::Magic => write!(f, "is no lane table (make one with `mvcalib table`)"),
             Self::Version { found } => {
-                write!(f, "has format version {found}, this program reads {VERSION}: make it anew")
+                write!(
+                    f,
+                    "has format version {found}, this program reads 1 to {VERSION}: make it anew"
+                )
             }
             Self::Crc { stored, computed } => write!(
                 f,
@@ -165,6 +179,7 @@ impl fmt::Display for LaneTableError {
             Self::CellDistance { cell } => {
                 write!(f, "puts cell {cell} beyond the end of its lane")
             }
+            Self::Scene(error) => error.fmt(f),
             Self::Buffer { needed, actual } => {
                 write!(f, "needs {needed} bytes, the buffer has {actual}")
             }
@@ -196,7 +211,7 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
         if [m0, m1, m2, m3, m4, m5, m6, m7] != MAGIC {
             return Err(LaneTableError::Magic);
         }
-        if version != VERSION {
+        if version != VERSION && version != VERSION_BARE {
             return Err(LaneTableError::Version { found: version });
         }
         let (body, trailer) = bytes.split_last_chunk::<TRAILER>().ok_or(too_short(HEADER))?;
@@ -213,7 +228,12 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
             _ => return Err(LaneTableError::Description),
         };
         let cell_count = description.cell_count();
-        let needed = cells_at + cell_count * CELL + TRAILER;
+        let scene_at = cells_at + cell_count * CELL;
+        let scene_len = match version {
+            VERSION_BARE => 0,
+            _ => LENGTH + length_at(bytes, scene_at),
+        };
+        let needed = scene_at + scene_len + TRAILER;
         if bytes.len() < needed && cell_count <= MAX_CELLS {
             return Err(too_short(needed));
         }
@@ -227,8 +247,22 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
             return Err(LaneTableError::Value("the reserved byte is not 0"));
         }
         description.check()?;
-        check_cells(&description, body.get(cells_at..).unwrap_or(&[]))?;
+        check_cells(&description, body.get(cells_at..scene_at).unwrap_or(&[]))?;
         Ok(Self { description, bytes: table, cells_at })
+    }
+
+    /// The reference of the static scene; `None` where the table has none.
+    ///
+    /// # Errors
+    /// [`LaneTableError::Scene`] names what is wrong with it.
+    pub fn scene(&self) -> Result<Option<Reference>, LaneTableError> {
+        let scene_at = self.cells_at + self.description.cell_count() * CELL + LENGTH;
+        let bytes = self.bytes.as_ref();
+        let end = bytes.len().saturating_sub(TRAILER);
+        match bytes.get(scene_at..end) {
+            None => Ok(None),
+            Some(bytes) => Reference::parse(bytes).map(Some).map_err(LaneTableError::Scene),
+        }
     }
 
     /// What the table says about itself.
@@ -261,6 +295,13 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
             span_m: f32::from(u16::from_le_bytes([span0, span1])) * 0.001,
         })
     }
+}
+
+/// The length that stands at `at`, held at one that no reference reaches.
+fn length_at(bytes: &[u8], at: usize) -> usize {
+    let length = bytes.get(at..).and_then(|b| b.first_chunk::<LENGTH>());
+    let length = length.map_or(0, |&length| u32::from_le_bytes(length));
+    if length as usize > MAX_REFERENCE { MAX_REFERENCE + 1 } else { length as usize }
 }
 
 fn check_cells(description: &Description, cells: &[u8]) -> Result<(), LaneTableError> {
@@ -317,7 +358,8 @@ impl Description {
 
 /// Writes a lane table into `buffer` and returns how many bytes it takes.
 ///
-/// `cell(u, v)` gives what stands in column `u`, row `v`. Distances are rounded to the
+/// `cell(u, v)` gives what stands in column `u`, row `v`; `scene` is the reference of the
+/// static scene, where there is one. Distances are rounded to the
 /// centimetre and spans to the millimetre; a span over 65 m is held there.
 ///
 /// # Errors
@@ -326,16 +368,18 @@ impl Description {
 /// written.
 pub fn encode(
     description: &Description,
+    scene: Option<&Reference>,
     mut cell: impl FnMut(u16, u16) -> Option<Place>,
     buffer: &mut [u8],
 ) -> Result<usize, LaneTableError> {
     description.check()?;
     let actual = buffer.len();
-    let needed = encoded_len(description);
+    let needed = encoded_len(description, scene);
     let table = buffer.get_mut(..needed).ok_or(LaneTableError::Buffer { needed, actual })?;
     let mut scratch = [0; MAX_DESCRIPTION];
     let encoded =
         postcard::to_slice(description, &mut scratch).map_err(|_| LaneTableError::Description)?;
+    let version = if scene.is_some() { VERSION } else { VERSION_BARE };
     let mut rest = &mut *table;
     let mut put = |bytes: &[u8]| {
         let (head, tail) = core::mem::take(&mut rest).split_at_mut_checked(bytes.len())?;
@@ -345,7 +389,7 @@ pub fn encode(
     };
     let full = LaneTableError::Buffer { needed, actual };
     put(&MAGIC).ok_or(full)?;
-    put(&[VERSION, 0]).ok_or(full)?;
+    put(&[version, 0]).ok_or(full)?;
     put(&(encoded.len() as u16).to_le_bytes()).ok_or(full)?;
     put(encoded).ok_or(full)?;
     for v in 0..description.image_size.height {
@@ -353,17 +397,23 @@ pub fn encode(
             put(&encode_cell(cell(u, v))).ok_or(full)?;
         }
     }
+    if let Some(scene) = scene {
+        put(&(scene.encoded_len() as u32).to_le_bytes()).ok_or(full)?;
+        let place = rest.get_mut(..scene.encoded_len()).ok_or(full)?;
+        scene.encode(place).map_err(LaneTableError::Scene)?;
+    }
     let (body, trailer) = table.split_last_chunk_mut::<TRAILER>().ok_or(full)?;
     *trailer = CRC.checksum(body).to_le_bytes();
     LaneTable::parse(&*table)?;
     Ok(needed)
 }
 
-/// Bytes that a table with this description takes.
-pub fn encoded_len(description: &Description) -> usize {
+/// Bytes that a table with this description and reference takes.
+pub fn encoded_len(description: &Description, scene: Option<&Reference>) -> usize {
     let mut scratch = [0; MAX_DESCRIPTION];
     let len = postcard::to_slice(description, &mut scratch).map_or(MAX_DESCRIPTION, |s| s.len());
-    HEADER + len + description.cell_count() * CELL + TRAILER
+    let scene = scene.map_or(0, |scene| LENGTH + scene.encoded_len());
+    HEADER + len + description.cell_count() * CELL + scene + TRAILER
 }
 
 fn encode_cell(place: Option<Place>) -> [u8; CELL] {

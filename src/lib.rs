@@ -1,6 +1,6 @@
 //! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
 //!
-//! The core (`units`, `lane`, `density`, `wire`, `hal`, `health`) is `no_std` and never
+//! The core (`units`, `lane`, `density`, `wire`, `hal`, `health`, `picture`, `scene`) is `no_std` and never
 //! allocates: time and temperature come in as arguments, effects go out as returned
 //! values. `daemon`, behind the feature of that name, is the line from camera to broker.
 #![cfg_attr(not(feature = "daemon"), no_std)]
@@ -12,6 +12,8 @@ pub mod density;
 pub mod hal;
 pub mod health;
 pub mod lane;
+pub mod picture;
+pub mod scene;
 pub mod units;
 pub mod wire;
 

@@ -34,7 +34,7 @@ fn write_table(scene: &Scene, recorder: &Recorder, folder: &Path) -> PathBuf {
     let camera = Calibration::read(&camera_file, None).expect("a right calibration");
     let drawn = LabelFile::read(&lanes_file).expect("right lanes");
     let drawn = lanes(&drawn, "lanes.json", &camera.camera()).expect("lanes on the road");
-    let bytes = table(&camera, &drawn, [0; 32], "street").expect("a right table");
+    let bytes = table(&camera, &drawn, [0; 32], "street", None).expect("a right table");
     let path = folder.join("street.lut");
     std::fs::write(&path, bytes).expect("writing the table");
     path

@@ -11,6 +11,7 @@ use crate::lane_axis::LaneAxis;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 use verge::lane::{Description, Lane, LaneTableError, MAX_LANE_LENGTH_M, Name, Place};
+use verge::scene::Reference;
 use verge::units::{Direction, ImageSize, LaneId, MAX_LANES};
 
 /// Part of a lane's cells that another lane may claim too: hand-drawn borders cross by a
@@ -45,7 +46,8 @@ pub fn lanes(file: &LabelFile, what: &str, camera: &Camera) -> Result<Vec<DrawnL
         });
     }
     let mut lanes: Vec<DrawnLane> = Vec::new();
-    for shape in file.shapes.iter().filter(|s| s.shape_type == "polygon") {
+    let polygons = file.shapes.iter().filter(|s| s.shape_type == "polygon");
+    for shape in polygons.filter(|s| !is_ignored(s)) {
         let lane = lane(shape, camera)?;
         if lanes.iter().any(|l| l.id == lane.id) {
             let problem = "is drawn twice; give each polygon its own number".into();
@@ -59,6 +61,18 @@ pub fn lanes(file: &LabelFile, what: &str, camera: &Camera) -> Result<Vec<DrawnL
     }
     lanes.sort_by_key(|l| l.id);
     Ok(lanes)
+}
+
+/// Polygons labelled `ignore`: a clock, a name, a logo, anything that is burnt into the
+/// picture and no part of the scene.
+pub fn ignored(file: &LabelFile) -> Vec<Vec<Vector2<f64>>> {
+    let polygon = |s: &Shape| s.points.iter().map(|&p| p.into()).collect();
+    let polygons = file.shapes.iter().filter(|s| s.shape_type == "polygon");
+    polygons.filter(|s| is_ignored(s) && !s.points.is_empty()).map(polygon).collect()
+}
+
+fn is_ignored(shape: &Shape) -> bool {
+    shape.label.trim() == "ignore"
 }
 
 fn lane(shape: &Shape, camera: &Camera) -> Result<DrawnLane> {
@@ -92,12 +106,13 @@ fn lane(shape: &Shape, camera: &Camera) -> Result<DrawnLane> {
 /// The bytes of a lane table.
 ///
 /// `sha256` is the hash of the calibration file, `fallback_id` names the camera where the
-/// calibration does not.
+/// calibration does not, `scene` is the reference by which a moved camera is noticed.
 pub fn table(
     calibration: &Calibration,
     lanes: &[DrawnLane],
     sha256: [u8; 32],
     fallback_id: &str,
+    scene: Option<&Reference>,
 ) -> Result<Vec<u8>> {
     let camera = calibration.camera();
     let cells = cells(&camera, lanes)?;
@@ -121,10 +136,10 @@ pub fn table(
         calibration_id: name(&format!("{}-{hash}", calibration.method)),
         calibration_sha256: sha256,
     };
-    let mut bytes = vec![0; verge::lane::encoded_len(&description)];
+    let mut bytes = vec![0; verge::lane::encoded_len(&description, scene)];
     let at = |u: u16, v: u16| cells[usize::from(v) * width as usize + usize::from(u)];
     let refused = |e: LaneTableError| Error::Solver { method: "lane table", detail: e.to_string() };
-    let length = verge::lane::encode(&description, at, &mut bytes).map_err(refused)?;
+    let length = verge::lane::encode(&description, scene, at, &mut bytes).map_err(refused)?;
     bytes.truncate(length);
     Ok(bytes)
 }
@@ -197,7 +212,7 @@ fn check_overlaps(
 }
 
 /// Whether a point lies inside a polygon (even-odd rule).
-fn contains(polygon: &[Vector2<f64>], p: Vector2<f64>) -> bool {
+pub(crate) fn contains(polygon: &[Vector2<f64>], p: Vector2<f64>) -> bool {
     let mut inside = false;
     let mut previous = polygon[polygon.len() - 1];
     for &corner in polygon {
@@ -244,7 +259,7 @@ mod tests {
         let lanes = lanes(&file, "lanes.json", &camera).unwrap();
         let mut calibration = Calibration::of_camera(&camera, "joint");
         calibration.rel_err = Some(0.057);
-        let bytes = table(&calibration, &lanes, [7; 32], "camera").unwrap();
+        let bytes = table(&calibration, &lanes, [7; 32], "camera", None).unwrap();
         let table = LaneTable::parse(&bytes[..]).unwrap();
         let description = table.description();
         assert_eq!(description.lanes.len(), 2);
@@ -270,7 +285,7 @@ mod tests {
         ]);
         let drawn = lanes(&both, "lanes.json", &camera).unwrap();
         let calibration = Calibration::of_camera(&camera, "joint");
-        let error = table(&calibration, &drawn, [0; 32], "c").unwrap_err().to_string();
+        let error = table(&calibration, &drawn, [0; 32], "c", None).unwrap_err().to_string();
         assert!(error.contains("lane 1") && error.contains("lane 4"), "{error}");
         for label in ["kerb", "lane 0", "lane 9"] {
             assert!(lanes(&file(&[(label, "", NEAR)]), "lanes.json", &camera).is_err());

@@ -38,6 +38,7 @@ pub mod pose_refinement;
 pub mod problem;
 pub mod registration;
 pub mod report;
+pub mod scene_reference;
 pub mod single_vehicle;
 pub mod stages;
 pub mod trust;

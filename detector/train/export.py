@@ -1,23 +1,23 @@
-"""A checkpoint as ONNX: f32, with int8 weights (what ships), and fully int8 (QDQ).
+"""A checkpoint as ONNX: f32, and what ships: fully int8 (QDQ) or with int8 weights only.
 
-    python3 detector/train/export.py --checkpoint last.pt --out DIR [--calibrate LIST]
+    python3 detector/train/export.py --checkpoint last.pt --out DIR --calibrate DATA_OR_LIST
 
-int8 weights: symmetric, one scale an output channel, stored as int8 and turned back into f32
-by Cast and Mul, which every runtime folds when it loads; activations stay f32, so a runtime
-without int8 kernels loses nothing. Also writes the sidecar that the daemon reads.
+With `--calibrate` the shipped file is fully int8 (see `quantise.py`). Without it has int8
+weights: symmetric, one scale an output channel, turned back into f32 by Cast and Mul;
+activations stay f32. Also writes the sidecar that the daemon reads.
 """
 
 import argparse
 import hashlib
 import os
 
-import cv2
 import numpy as np
 import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-import boxes
+import data
+import quantise
 from nanodet import NanoDet, Scores
 
 SIDECAR = """# {about}
@@ -51,8 +51,8 @@ def export_f32(net, path, width, height):
     torch.onnx.export(Scores(net).eval(), torch.zeros(1, 3, height, width), path,
                       input_names=["data"], output_names=["output"], opset_version=13,
                       do_constant_folding=True, dynamo=False)
-    model = onnx.load(path)
-    onnx.checker.check_model(model)
+    model = quantise.folded(path)
+    onnx.save(model, path)
     return model
 
 
@@ -87,25 +87,13 @@ def int8_weights(model):
     return model
 
 
-def int8_everything(source, path, pictures, width, height):
-    """QDQ, int8 activations, calibrated on training pictures."""
-    from onnxruntime.quantization import (CalibrationDataReader, QuantFormat, QuantType,
-                                          quantize_static)
-
-    class Reader(CalibrationDataReader):
-        def __init__(self):
-            self.rest = iter(pictures)
-
-        def get_next(self):
-            name = next(self.rest, None)
-            if name is None:
-                return None
-            img, _ = boxes.letterbox(cv2.imread(name), width, height)
-            return {"data": boxes.blob(img)}
-
-    quantize_static(source, path, Reader(), quant_format=QuantFormat.QDQ, per_channel=True,
-                    activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
-                    op_types_to_quantize=["Conv"])
+def calibration(where, count=60, seed=20210320):
+    """Paths in a list, or as many training pictures of the data sets in a folder."""
+    if os.path.isfile(where):
+        with open(where) as file:
+            return [line.strip() for line in file if line.strip()]
+    training = sorted(p.path for p in data.load_all(where) if p.split == "train")
+    return sorted(np.random.default_rng(seed).choice(training, count, replace=False).tolist())
 
 
 def sidecar(path, about, width, height, score, iou):
@@ -127,7 +115,8 @@ def main():
     args.add_argument("--name", default="verge_nanodet")
     args.add_argument("--size", action="append", help="WIDTHxHEIGHT, may be repeated")
     args.add_argument("--weights", choices=["mean", "net"], default="mean")
-    args.add_argument("--calibrate", help="list of training pictures: also write fully int8")
+    args.add_argument("--calibrate", help="folder of the data sets, or a list of training "
+                      "pictures: fully int8")
     args.add_argument("--score", type=float, default=0.35)
     args.add_argument("--iou", type=float, default=0.6)
     args = args.parse_args()
@@ -141,13 +130,13 @@ def main():
         width, height = map(int, size.split("x"))
         stem = os.path.join(args.out, f"{args.name}_{size}")
         plain = export_f32(net, stem + ".f32.onnx", width, height)
-        onnx.save(int8_weights(plain), stem + ".onnx")
+        if args.calibrate:
+            pictures = calibration(args.calibrate)
+            quantise.quantise(stem + ".f32.onnx", stem + ".onnx", pictures, width, height)
+        else:
+            onnx.save(int8_weights(plain), stem + ".onnx")
         sidecar(stem + ".onnx", about, width, height, args.score, args.iou)
         print(f"{stem}.onnx {os.path.getsize(stem + '.onnx')} bytes")
-        if args.calibrate:
-            with open(args.calibrate) as file:
-                names = [line.strip() for line in file if line.strip()]
-            int8_everything(stem + ".f32.onnx", stem + ".qdq.onnx", names, width, height)
 
 
 if __name__ == "__main__":

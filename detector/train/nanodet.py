@@ -4,6 +4,7 @@ Convolutions run in the order in which the exported COCO graph lists them, so it
 load by position. Owns the six score columns of our head; see `Scores`.
 """
 
+import numpy as np
 import onnx
 import torch
 import torch.nn.functional as F
@@ -168,6 +169,10 @@ def carry(net, path):
     values = {i.name: numpy_helper.to_array(i) for i in graph.initializer}
     for name in [n[: -len(".int8")] for n in values if n.endswith(".int8")]:
         values[name] = values[name + ".int8"] * values[name + ".scale"]
+    for n in graph.node:
+        if n.op_type == "DequantizeLinear" and n.input[0] in values:
+            steps, scale = values[n.input[0]].astype(np.float32), values[n.input[1]]
+            values[n.output[0]] = steps * scale.reshape((-1,) + (1,) * (steps.ndim - 1))
     nodes = [n for n in graph.node if n.op_type == "Conv"]
     layers = convolutions(net, torch.zeros(1, 3, 64, 64))
     if len(nodes) != len(layers):

@@ -3,7 +3,8 @@
 use super::commands;
 use super::exit::Failure;
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+use std::io::Write;
 use std::path::PathBuf;
 
 /// A traffic camera as a calibrated sensor of density, lane by lane.
@@ -36,6 +37,9 @@ enum Command {
     Convert(commands::convert::Args),
     /// Time every stage; prints JSON
     Bench(commands::bench::Args),
+    /// Print the manual page, for packages
+    #[command(hide = true)]
+    Man,
     /// Play a recording through the whole line to an MQTT client, all in this process
     #[cfg(feature = "demo")]
     Demo,
@@ -72,7 +76,24 @@ where
         Command::Detect(args) => commands::detect::run(&args),
         Command::Convert(args) => commands::convert::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
+        Command::Man => manual(),
         #[cfg(feature = "demo")]
         Command::Demo => commands::demo::run(),
     }
+}
+
+/// Prints the manual page of the program and its commands, in roff.
+fn manual() -> Result<(), Failure> {
+    let failed = |source| Failure::Write { path: "standard output".into(), source };
+    let mut out = std::io::stdout();
+    let program = Cli::command();
+    let page = clap_mangen::Man::new(program.clone());
+    page.render(&mut out).map_err(failed)?;
+    for command in program.get_subcommands().filter(|command| !command.is_hide_set()) {
+        let page = clap_mangen::Man::new(command.clone().disable_help_flag(true));
+        writeln!(out, ".SH \"VERGE {}\"", command.get_name().to_uppercase()).map_err(failed)?;
+        page.render_description_section(&mut out).map_err(failed)?;
+        page.render_options_section(&mut out).map_err(failed)?;
+    }
+    Ok(())
 }

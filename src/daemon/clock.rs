@@ -1,9 +1,9 @@
 //! The box's clock: what time it is, and whether a time source has set it.
 //!
-//! Owns the only reading of the wall clock.
+//! Owns the only reading of the wall clock, and of the thread's processor time.
 
 use crate::units::UtcMs;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The time now.
 pub fn now() -> UtcMs {
@@ -18,6 +18,17 @@ pub fn is_synchronised() -> bool {
     // SAFETY: `state` is a live, exclusive `timex`.
     let outcome = unsafe { libc::adjtimex(&mut state) };
     outcome >= 0 && outcome != libc::TIME_ERROR && state.status & libc::STA_UNSYNC == 0
+}
+
+/// Processor time that this thread has used; other programs on a busy machine do not count.
+pub fn processor_time() -> Duration {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `time` is a live, exclusive `timespec`.
+    let outcome = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &mut time) };
+    match (outcome, u64::try_from(time.tv_sec), u32::try_from(time.tv_nsec)) {
+        (0, Ok(seconds), Ok(nanoseconds)) => Duration::new(seconds, nanoseconds),
+        _ => Duration::ZERO,
+    }
 }
 
 /// RFC 3339 in UTC with milliseconds, as all messages have it.

@@ -125,6 +125,12 @@ pub enum Failure {
         /// What to do.
         hint: &'static str,
     },
+    /// The comparison with ONNX Runtime could not be made.
+    #[error(
+        "ONNX Runtime cannot be run: {0}; the comparison needs python3 with the packages \
+         onnxruntime and numpy (pip install onnxruntime numpy)"
+    )]
+    OnnxRuntime(String),
     /// A part of the demo or the benchmark did not do its work.
     #[error("{0}")]
     Internal(String),
@@ -151,7 +157,7 @@ impl Failure {
                 CONFIG
             }
             Self::Capture(_) => UNAVAILABLE,
-            Self::Snapshot(_) | Self::Mjpeg(_) | Self::Device(_) => UNAVAILABLE,
+            Self::Snapshot(_) | Self::Mjpeg(_) | Self::Device(_) | Self::OnnxRuntime(_) => UNAVAILABLE,
             Self::Broker { .. } => UNAVAILABLE,
             Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,

@@ -16,7 +16,7 @@ pub struct Frame {
 }
 
 /// Pixels in RGB, 8 bits a channel, row by row.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Picture {
     /// Columns, px.
     pub width: usize,

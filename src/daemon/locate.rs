@@ -5,12 +5,13 @@
 
 use super::flow::{Detection, PixelBox};
 use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
+use crate::scene::{MAX_REFERENCE, Reference};
 use crate::units::{ImagePoint, ImageSize, VehicleClass};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Largest table file that is read, bytes: the largest table, with room for its header.
-const MAX_TABLE_BYTES: u64 = MAX_CELLS as u64 * 5 + 4096;
+const MAX_TABLE_BYTES: u64 = (MAX_CELLS * 5 + MAX_REFERENCE + 4096) as u64;
 /// A box that ends this close to the picture's lower edge, px, is cut off by it: where the
 /// vehicle meets the road is not in the picture.
 const EDGE_PX: f32 = 0.5;

@@ -32,8 +32,8 @@ fn cell(u: u16, v: u16) -> Option<Place> {
 }
 
 fn encoded() -> std::vec::Vec<u8> {
-    let mut bytes = std::vec![0; encoded_len(&description())];
-    let len = encode(&description(), cell, &mut bytes).expect("the test's table is right");
+    let mut bytes = std::vec![0; encoded_len(&description(), None)];
+    let len = encode(&description(), None, cell, &mut bytes).expect("the test's table is right");
     assert_eq!(len, bytes.len());
     bytes
 }
@@ -137,13 +137,66 @@ fn impossible_descriptions_are_not_written() {
     let mut buffer = [0; 512];
     let mut longer = description();
     longer.lanes[0].length_m = f32::NAN;
-    assert!(encode(&longer, cell, &mut buffer).is_err());
+    assert!(encode(&longer, None, cell, &mut buffer).is_err());
     let mut unordered = description();
     unordered.lanes.swap(0, 1);
-    assert!(encode(&unordered, cell, &mut buffer).is_err());
+    assert!(encode(&unordered, None, cell, &mut buffer).is_err());
     let mut small = [0; 16];
     assert!(matches!(
-        encode(&description(), cell, &mut small),
+        encode(&description(), None, cell, &mut small),
         Err(LaneTableError::Buffer { actual: 16, .. })
     ));
+}
+
+/// A reference of the scene: a row of points.
+fn reference() -> Reference {
+    let mut scene = Reference { width: 320, height: 240, ..Reference::default() };
+    for x in 0..200 {
+        let point = crate::scene::Point { x, y: 7, edge: [100, -20] };
+        scene.fine.push(point).expect("200 of 1440");
+        let _ = scene.coarse.push(crate::scene::Point { x: x / 2, y: 3, ..point });
+    }
+    scene
+}
+
+#[test]
+fn a_table_with_a_reference_is_version_2_and_comes_back() {
+    let scene = reference();
+    let mut bytes = std::vec![0; encoded_len(&description(), Some(&scene))];
+    let len = encode(&description(), Some(&scene), cell, &mut bytes).expect("a right table");
+    assert_eq!((len, bytes[8]), (bytes.len(), 2));
+    // Up to the reference it is the same table.
+    let bare = encoded();
+    let same = bare.len() - 4;
+    assert_eq!(bytes[9..same], bare[9..same]);
+    assert_eq!(bytes[same..same + 4], (scene.encoded_len() as u32).to_le_bytes());
+    let table = LaneTable::parse(&bytes[..]).expect("just written");
+    assert_eq!(table.scene(), Ok(Some(scene)));
+    assert_eq!(table.place(ImagePoint { u: 0.5, v: 0.5 }), cell(0, 0));
+    let bare = LaneTable::parse(&bare[..]).expect("just written");
+    assert_eq!(bare.scene(), Ok(None));
+}
+
+#[test]
+fn damage_in_the_reference_is_named() {
+    let scene = reference();
+    let mut whole = std::vec![0; encoded_len(&description(), Some(&scene))];
+    encode(&description(), Some(&scene), cell, &mut whole).expect("a right table");
+    for len in (0..whole.len()).step_by(7) {
+        assert!(LaneTable::parse(&whole[..len]).is_err(), "{len} of {} bytes", whole.len());
+    }
+    let end = whole.len() - 4;
+    let scene_at = end - scene.encoded_len();
+    let damaged = |at: usize, value: u8| {
+        let mut bytes = whole.clone();
+        bytes[at] = value;
+        let crc = CRC.checksum(&bytes[..end]).to_le_bytes();
+        bytes[end..].copy_from_slice(&crc);
+        LaneTable::parse(bytes).and_then(|table| table.scene()).expect_err("damaged")
+    };
+    use crate::scene::ReferenceError;
+    assert_eq!(damaged(scene_at, 9), LaneTableError::Scene(ReferenceError::Version(9)));
+    assert!(matches!(damaged(scene_at + 6, 9), LaneTableError::Scene(_)));
+    assert!(matches!(damaged(scene_at + 11, 9), LaneTableError::Scene(ReferenceError::Value(_))));
+    assert!(matches!(damaged(scene_at - 1, 9), LaneTableError::TooShort { .. }));
 }

@@ -3,13 +3,15 @@
 use super::CalibrationFile;
 use mvcalib::camera::Camera;
 use mvcalib::canvas::Canvas;
-use mvcalib::error::Result;
+use mvcalib::error::{Error, Result};
 use mvcalib::labelme::LabelFile;
-use mvcalib::lane_table::{DrawnLane, lanes, table};
+use mvcalib::lane_table::{DrawnLane, ignored, lanes, table};
 use mvcalib::output::write_whole;
 use mvcalib::report::{draw_lanes, draw_metres};
+use mvcalib::scene_reference::{picture, pictures, reference};
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
+use verge::scene::Reference;
 
 /// Arguments of `table`.
 #[derive(Debug, clap::Args)]
@@ -22,6 +24,14 @@ pub struct Arguments {
     /// The lane table to write.
     #[arg(long)]
     out: PathBuf,
+    /// Frames of the camera by which it is later noticed when it has moved. The first by name
+    /// must show the pose of the calibration; the others, at other times and in other light,
+    /// may sway against it. Polygons of the lanes file labelled `ignore` are left out.
+    #[arg(long, value_name = "DIR")]
+    reference: Option<PathBuf>,
+    /// The frame of that folder that shows the pose of the calibration.
+    #[arg(long, value_name = "NAME", requires = "reference")]
+    pose_frame: Option<String>,
     /// Also draw the lanes and one-metre dots, as PNG.
     #[arg(long)]
     overlay: Option<PathBuf>,
@@ -34,6 +44,25 @@ pub struct Arguments {
 }
 
 impl Arguments {
+    /// The reference of the scene, where frames are given.
+    fn scene(&self, lanes: &LabelFile, expected: [u32; 2]) -> Result<Option<Reference>> {
+        let Some(folder) = &self.reference else { return Ok(None) };
+        let mut frames = pictures(folder)?;
+        if let Some(name) = &self.pose_frame {
+            let named = |path: &PathBuf| path.file_name().is_some_and(|n| n == name.as_str());
+            let at = frames.iter().position(named).ok_or_else(|| {
+                Error::Usage(format!("--pose-frame {name}: no such frame in {}", folder.display()))
+            })?;
+            frames[..=at].rotate_right(1);
+        }
+        let (.., width, height) = picture(&frames[0])?;
+        if [width, height] != expected {
+            let what = frames[0].display().to_string();
+            return Err(Error::ImageSize { what, actual: [width, height], expected });
+        }
+        reference(&frames, &ignored(lanes)).map(|(_, scene)| Some(scene))
+    }
+
     /// The overlay as PNG, where one is wanted.
     fn drawing(&self, camera: &Camera, lanes: &[DrawnLane]) -> Result<Option<Vec<u8>>> {
         if self.overlay.is_none() {
@@ -61,10 +90,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let sha256 = Sha256::digest(arguments.calibration.bytes()?).into();
     let fallback = arguments.out.file_stem().unwrap_or_default().to_string_lossy();
     let overlay = arguments.drawing(&calibration.camera(), &lanes)?;
-    let bytes = table(&calibration, &lanes, sha256, &fallback)?;
+    let scene = arguments.scene(&file, calibration.camera().image_size)?;
+    let bytes = table(&calibration, &lanes, sha256, &fallback, scene.as_ref())?;
     write_whole(&arguments.out, &bytes)?;
     if let (Some(path), Some(png)) = (&arguments.overlay, overlay) {
         write_whole(path, &png)?;
+    }
+    match &scene {
+        Some(scene) => eprintln!("scene: {} edge points", scene.fine.len()),
+        None => eprintln!("scene: no --reference, so a moved camera will not be noticed"),
     }
     for lane in &lanes {
         eprintln!("lane {}: {:.1} m", lane.id.get(), lane.axis.length_m());

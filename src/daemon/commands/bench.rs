@@ -1,10 +1,10 @@
 //! `verge bench`: what each stage takes, as JSON.
 
-use super::{ModelArgs, recording};
+use super::{ModelArgs, compare, recording};
 use crate::daemon::exit::Failure;
 use crate::daemon::{Counting, LineSettings, StageTimes, open_endless};
 use crate::units::{ImagePoint, ImageSize};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -26,6 +26,9 @@ pub struct Args {
     /// Frames to measure, after as many again to warm up
     #[arg(long, value_name = "N", default_value_t = 50)]
     count: usize,
+    /// Run ONNX Runtime (python3 with the package onnxruntime) on the same model and picture
+    #[arg(long)]
+    compare_onnxruntime: bool,
 }
 
 pub fn run(args: &Args) -> Result<(), Failure> {
@@ -50,7 +53,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let stages: Vec<StageTimes> =
         (0..args.count.max(1)).map(|_| station.turn_timed()).collect::<Result<_, _>>()?;
     let stage = |pick: fn(&StageTimes) -> Duration| median_ms(stages.iter().map(pick));
-    let report = json!({
+    let peak_rss = peak_rss_mb();
+    let mut report = json!({
         "frames": stages.len(),
         "picture": station.line.counting().table().image_size.to_string(),
         "model": args.model.model.file_name().map(|name| name.to_string_lossy()),
@@ -63,8 +67,17 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         "frame_ms": stage(|s| s.capture + s.prepare + s.infer + s.read + s.count),
         "table_look_up_ns": look_up_ns(station.line.counting()),
         "cold_start_ms": round(cold_start.as_secs_f64() * 1e3),
-        "peak_rss_mb": peak_rss_mb(),
+        "peak_rss_mb": peak_rss,
     });
+    if args.compare_onnxruntime {
+        let picture = station.frame.picture.clone();
+        let model = args.model.model.clone();
+        let frame = || station.turn_timed().map(drop);
+        let compared = compare::compare(&model, &picture, args.count.max(1), frame)?;
+        if let (Value::Object(report), Value::Object(compared)) = (&mut report, compared) {
+            report.extend(compared);
+        }
+    }
     println!("{report:#}");
     Ok(())
 }

@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod check;
+mod compare;
 pub mod convert;
 #[cfg(feature = "demo")]
 pub mod demo;

@@ -47,25 +47,45 @@ impl Head {
         }
     }
 
+    /// Levels of cells.
+    pub(super) fn levels(&self) -> usize {
+        self.levels.len()
+    }
+
+    /// Columns of a cell that are scores.
+    pub(super) fn scores(&self) -> usize {
+        self.classes
+    }
+
     /// Adds the candidates of an output, its cells row by row and level by level.
     pub(super) fn read(&self, output: &[f32], candidates: &mut Vec<Detection>) {
-        let mut rows = output.chunks_exact(self.row_len());
-        for &(stride, level_columns, level_rows) in &self.levels {
-            for v in 0..level_rows {
-                for u in 0..level_columns {
-                    let Some(row) = rows.next() else { return };
-                    let (score, class) = self.best(row);
-                    // Written so that a NaN score is no vehicle.
-                    if score >= self.threshold {
-                        let cell = (u as f32, v as f32, stride as f32);
-                        let bounds = match self.kind {
-                            HeadKind::NanodetPlus => self.nanodet_box(row, cell),
-                            HeadKind::Yolox => yolox_box(row, cell),
-                        };
-                        candidates.push(Detection { bounds, score, class });
-                    }
-                }
-            }
+        let cells = (0..self.levels.len()).flat_map(|level| self.cells(level));
+        for (cell, row) in cells.zip(output.chunks_exact(self.row_len())) {
+            self.consider(row, cell, candidates);
+        }
+    }
+
+    /// Column, row and stride of each cell of a level.
+    pub(super) fn cells(&self, level: usize) -> impl Iterator<Item = (f32, f32, f32)> + use<> {
+        let (stride, columns, rows) = self.levels[level];
+        (0..rows).flat_map(move |v| (0..columns).map(move |u| (u as f32, v as f32, stride as f32)))
+    }
+
+    /// Adds a cell whose score reaches the threshold.
+    pub(super) fn consider(
+        &self,
+        row: &[f32],
+        cell: (f32, f32, f32),
+        candidates: &mut Vec<Detection>,
+    ) {
+        let (score, class) = self.best(row);
+        // Written so that a NaN score is no vehicle.
+        if score >= self.threshold {
+            let bounds = match self.kind {
+                HeadKind::NanodetPlus => self.nanodet_box(row, cell),
+                HeadKind::Yolox => yolox_box(row, cell),
+            };
+            candidates.push(Detection { bounds, score, class });
         }
     }
 

@@ -7,22 +7,38 @@
 
 use super::sidecar::Normalisation;
 use crate::daemon::flow::{Picture, PixelBox};
+use verge_kernels::Steps;
 
 /// Value of the bars beside a picture of another shape, before normalisation.
 const BAR: f32 = 114.0;
 
-/// The net's input and what is needed to fill it. Everything is kept between pictures.
+/// Adding and subtracting it rounds values below 2^22 to the nearest even.
+const ROUND: f32 = 12_582_912.0;
+
+/// Where the input goes, and in which form.
+#[derive(Debug)]
+pub(super) enum Into<'a> {
+    /// Three planes of `rows x columns`.
+    Planes(&'a mut [f32]),
+    /// Row by row, three values a pixel.
+    Pixels(&'a mut [f32]),
+    /// As `Pixels`, in steps.
+    Steps(&'a mut [u8], Steps),
+}
+
+/// What is needed to fill a net's input. Everything is kept between pictures.
 #[derive(Debug)]
 pub(super) struct Letterbox {
     input: [usize; 2],
     normalisation: Normalisation,
-    planes: Vec<f32>,
     fit: Option<Fit>,
     columns: Taps,
     rows: Taps,
-    /// One picture row resampled to the new width, RGB interleaved, per cached row.
+    /// One picture row resampled to the new width and normalised, three values a pixel in the
+    /// net's order, per cached row.
     cache: Vec<f32>,
     cached: Vec<usize>,
+    mixed: Vec<f32>,
 }
 
 /// Where a picture of one size lies in the input.
@@ -45,59 +61,94 @@ impl Fit {
 
 impl Letterbox {
     pub(super) fn new(input: [usize; 2], normalisation: &Normalisation) -> Self {
-        let planes = vec![0.0; 3 * input[0] * input[1]];
         Self {
             input,
             normalisation: *normalisation,
-            planes,
             fit: None,
             columns: Taps::default(),
             rows: Taps::default(),
             cache: Vec::new(),
             cached: Vec::new(),
+            mixed: Vec::new(),
         }
     }
 
-    /// Columns and rows of the input, px.
-    pub(super) fn input(&self) -> [usize; 2] {
-        self.input
-    }
-
-    /// The filled input: three planes of `rows x columns`.
-    pub(super) fn planes(&self) -> &[f32] {
-        &self.planes
+    /// Values of the input.
+    pub(super) fn len(&self) -> usize {
+        3 * self.input[0] * self.input[1]
     }
 
     /// Fills the input from `picture`.
-    pub(super) fn fill(&mut self, picture: &Picture) {
+    pub(super) fn fill(&mut self, picture: &Picture, mut into: Into<'_>) {
         let fit = Fit::new([picture.width, picture.height], self.input);
         if self.fit != Some(fit) {
             self.refit(fit);
         }
-        let [width, height] = self.input;
+        // What a byte of each channel becomes: factor and summand.
+        let (unit, zero) = match &into {
+            Into::Steps(_, steps) => (1.0 / steps.scale, f32::from(steps.zero)),
+            _ => (1.0, 0.0),
+        };
+        let values = self
+            .normalisation
+            .map(|(channel, mean, gain)| (channel, gain * unit, zero - mean * gain * unit));
         let row_len = fit.size[0] * 3;
         self.cached.fill(usize::MAX);
-        for row in 0..fit.size[1] {
-            for (source, _) in self.rows.of(row) {
+        for row in 0..self.input[1] {
+            let inside = row.checked_sub(fit.offset[1]).filter(|&row| row < fit.size[1]);
+            let bar = |mixed: &mut [f32]| {
+                for pixel in mixed.as_chunks_mut::<3>().0 {
+                    *pixel = values.map(|(_, factor, summand)| BAR * factor + summand);
+                }
+            };
+            let Some(place) = inside else {
+                bar(&mut self.mixed);
+                self.store(row, &mut into);
+                continue;
+            };
+            for (source, _) in self.rows.of(place) {
                 let slot = source % self.cached.len();
                 if self.cached[slot] != source {
                     self.cached[slot] = source;
                     let pixels = &picture.rgb[source * picture.width * 3..][..picture.width * 3];
                     let cache = &mut self.cache[slot * row_len..][..row_len];
-                    resample_row(pixels, &self.columns, cache);
+                    resample_row(pixels, &self.columns, &values, cache);
                 }
             }
-            let start = (row + fit.offset[1]) * width + fit.offset[0];
-            for (plane, &(channel, mean, gain)) in self.normalisation.iter().enumerate() {
-                let out = &mut self.planes[plane * width * height + start..][..fit.size[0]];
-                out.fill(-mean * gain);
-                for (source, weight) in self.rows.of(row) {
-                    let slot = source % self.cached.len();
-                    let cache = &self.cache[slot * row_len..][..row_len];
-                    let weight = weight * gain;
-                    for (out, pixel) in out.iter_mut().zip(cache.as_chunks::<3>().0) {
-                        *out += pixel[channel] * weight;
+            let first = fit.offset[0] * 3;
+            bar(&mut self.mixed[..first]);
+            bar(&mut self.mixed[first + row_len..]);
+            let out = &mut self.mixed[first..first + row_len];
+            out.fill(0.0);
+            for (source, weight) in self.rows.of(place) {
+                let slot = source % self.cached.len();
+                let cache = &self.cache[slot * row_len..][..row_len];
+                for (out, value) in out.iter_mut().zip(cache) {
+                    *out += value * weight;
+                }
+            }
+            self.store(row, &mut into);
+        }
+    }
+
+    /// Stores one mixed row of the input.
+    fn store(&self, row: usize, into: &mut Into<'_>) {
+        let [width, height] = self.input;
+        let values = row * width * 3..(row + 1) * width * 3;
+        match into {
+            Into::Planes(planes) => {
+                for (channel, plane) in planes.chunks_exact_mut(width * height).enumerate() {
+                    let out = &mut plane[row * width..][..width];
+                    for (out, pixel) in out.iter_mut().zip(self.mixed.as_chunks::<3>().0) {
+                        *out = pixel[channel];
                     }
+                }
+            }
+            Into::Pixels(pixels) => pixels[values].copy_from_slice(&self.mixed),
+            Into::Steps(pixels, _) => {
+                for (out, value) in pixels[values].iter_mut().zip(&self.mixed) {
+                    let value = (value.clamp(0.0, 255.0) + ROUND) - ROUND;
+                    *out = value as i32 as u8;
                 }
             }
         }
@@ -118,22 +169,20 @@ impl Letterbox {
         }
     }
 
-    /// Prepares for pictures of another size: new taps, bars everywhere.
+    /// Prepares for pictures of another size.
     fn refit(&mut self, fit: Fit) {
         self.columns = Taps::new(fit.picture[0], fit.size[0]);
         self.rows = Taps::new(fit.picture[1], fit.size[1]);
         let slots = self.rows.widest + 1;
         self.cached = vec![usize::MAX; slots];
         self.cache = vec![0.0; slots * fit.size[0] * 3];
-        let plane_len = self.input[0] * self.input[1];
-        for (plane, &(_, mean, gain)) in self.normalisation.iter().enumerate() {
-            self.planes[plane * plane_len..][..plane_len].fill((BAR - mean) * gain);
-        }
+        self.mixed = vec![0.0; self.input[0] * 3];
         self.fit = Some(fit);
     }
 }
 
-fn resample_row(pixels: &[u8], columns: &Taps, out: &mut [f32]) {
+/// Resamples and normalises: `values` are channel of an RGB pixel, factor, summand.
+fn resample_row(pixels: &[u8], columns: &Taps, values: &[(usize, f32, f32); 3], out: &mut [f32]) {
     let pixels = pixels.as_chunks::<3>().0;
     for (column, out) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
         let mut sum = [0.0; 3];
@@ -142,7 +191,7 @@ fn resample_row(pixels: &[u8], columns: &Taps, out: &mut [f32]) {
                 *sum += f32::from(value) * weight;
             }
         }
-        *out = sum;
+        *out = values.map(|(channel, factor, summand)| sum[channel] * factor + summand);
     }
 }
 
@@ -199,14 +248,20 @@ mod tests {
         Picture { width, height, rgb }
     }
 
+    fn planes(letterbox: &mut Letterbox, picture: &Picture) -> Vec<f32> {
+        let mut planes = vec![f32::NAN; letterbox.len()];
+        letterbox.fill(picture, Into::Planes(&mut planes));
+        planes
+    }
+
     #[test]
     fn a_ramp_stays_a_ramp() {
         let mut letterbox = Letterbox::new([16, 8], &PLAIN);
-        letterbox.fill(&picture(8, 4, |u, _| u as u8 * 10));
+        let planes = planes(&mut letterbox, &picture(8, 4, |u, _| u as u8 * 10));
         for column in 1..15 {
             let expected = (column as f32 + 0.5) / 2.0 * 10.0 - 5.0;
             for row in 0..8 {
-                let value = letterbox.planes()[row * 16 + column];
+                let value = planes[row * 16 + column];
                 assert!((value - expected).abs() < 1e-3, "({column}, {row}): {value}");
             }
         }
@@ -215,8 +270,8 @@ mod tests {
     #[test]
     fn shrinking_averages() {
         let mut letterbox = Letterbox::new([4, 4], &PLAIN);
-        letterbox.fill(&picture(64, 64, |u, v| if (u + v) % 2 == 0 { 200 } else { 0 }));
-        for &value in &letterbox.planes()[..16] {
+        let checks = picture(64, 64, |u, v| if (u + v) % 2 == 0 { 200 } else { 0 });
+        for &value in &planes(&mut letterbox, &checks)[..16] {
             assert!((value - 100.0).abs() < 1.0, "{value}");
         }
     }
@@ -225,8 +280,8 @@ mod tests {
     fn another_shape_is_centred_between_bars_and_maps_back() {
         let mut letterbox = Letterbox::new([16, 16], &PLAIN);
         let wide = picture(32, 16, |_, _| 50);
-        letterbox.fill(&wide);
-        let column = |row: usize| letterbox.planes()[row * 16 + 8];
+        let planes = planes(&mut letterbox, &wide);
+        let column = |row: usize| planes[row * 16 + 8];
         assert_eq!((column(3), column(12)), (BAR, BAR));
         assert!((column(4) - 50.0).abs() < 1e-3 && (column(11) - 50.0).abs() < 1e-3);
         let whole = PixelBox { x0: 0.0, y0: 4.0, x1: 16.0, y1: 12.0 };
@@ -237,8 +292,26 @@ mod tests {
     #[test]
     fn a_picture_of_another_size_leaves_no_trace_of_the_last() {
         let mut letterbox = Letterbox::new([16, 16], &PLAIN);
-        letterbox.fill(&picture(16, 16, |_, _| 9));
-        letterbox.fill(&picture(32, 16, |_, _| 50));
-        assert_eq!(letterbox.planes()[0], BAR);
+        planes(&mut letterbox, &picture(16, 16, |_, _| 9));
+        assert_eq!(planes(&mut letterbox, &picture(32, 16, |_, _| 50))[0], BAR);
+    }
+
+    #[test]
+    fn pixels_and_steps_are_the_planes_in_other_clothes() {
+        let normalisation = [(2, 103.5, 1.0 / 57.4), (1, 116.3, 1.0 / 57.1), (0, 0.0, 0.5)];
+        let mut letterbox = Letterbox::new([16, 16], &normalisation);
+        let tall = picture(8, 16, |u, v| (u * 30 + v) as u8);
+        let planes = planes(&mut letterbox, &tall);
+        let mut pixels = vec![f32::NAN; letterbox.len()];
+        letterbox.fill(&tall, Into::Pixels(&mut pixels));
+        let steps = Steps { scale: 0.02, zero: 110 };
+        let mut bytes = vec![1; letterbox.len()];
+        letterbox.fill(&tall, Into::Steps(&mut bytes, steps));
+        for (i, &value) in pixels.iter().enumerate() {
+            assert_eq!(value, planes[i % 3 * 256 + i / 3]);
+            let expected = (value / steps.scale + 110.0).clamp(0.0, 255.0);
+            let byte = f32::from(bytes[i]);
+            assert!((byte - expected).abs() < 0.501, "{byte} for {expected}");
+        }
     }
 }

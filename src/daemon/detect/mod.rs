@@ -1,25 +1,32 @@
 //! Detect: the second stage, from a picture to [`Detection`]s.
 //!
 //! Owns the model: its sidecar, its input, its output, non-maximum suppression. The door
-//! of the crate `tract`; its errors stop here.
+//! of the crate `tract`; its errors stop here. tract reads the model file; a graph that is
+//! recognised as a whole runs on the project's own kernels, any other in tract.
 
+mod engine;
+mod forms;
+mod graph;
 mod head;
 mod letterbox;
+mod lower;
 mod nms;
 mod sidecar;
+mod tail;
 
+pub use engine::Precision;
+pub use forms::{Forms, forms};
 pub use sidecar::{Sidecar, SidecarError};
 
 use super::flow::{Detection, Picture};
 use crate::lane::Name;
 use crate::wire::{ModelRef, hex};
+use engine::Engine;
 use head::Head;
 use letterbox::Letterbox;
 use sha2::{Digest, Sha256};
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use tract_onnx::prelude::*;
+use tract_onnx::{onnx, pb, prelude as tract};
 
 /// Most boxes of one picture that reach non-maximum suppression, best first: eight lanes
 /// of 100 m at jam density, with ten cells firing on each vehicle, stay below.
@@ -87,7 +94,8 @@ pub struct DetectError {
 /// A loaded model.
 #[derive(Debug)]
 pub struct Detector {
-    plan: Arc<TypedRunnableModel>,
+    file: PathBuf,
+    engine: Engine,
     sidecar: Sidecar,
     model: ModelRef,
     head: Head,
@@ -103,6 +111,18 @@ impl Detector {
     /// # Errors
     /// [`ModelError`] where the files are missing, damaged, or do not fit each other.
     pub fn load(path: &Path, score: Option<f32>) -> Result<Self, ModelError> {
+        Self::load_as(path, score, Precision::AsStored)
+    }
+
+    /// As [`Self::load`], in the arithmetic that is asked for.
+    ///
+    /// # Errors
+    /// [`ModelError`] where the files are missing, damaged, or do not fit each other.
+    pub fn load_as(
+        path: &Path,
+        score: Option<f32>,
+        precision: Precision,
+    ) -> Result<Self, ModelError> {
         let (mut sidecar, sidecar_path, path) = Sidecar::find(path)?;
         if let Some(score) = score {
             sidecar.thresholds.score = score;
@@ -115,14 +135,26 @@ impl Detector {
             let expected = sidecar.sha256;
             return Err(ModelError::Hash { path, sidecar: sidecar_path, expected, actual });
         }
-        let plan = plan(&path, &bytes, &sidecar)?;
         let head = Head::new(&sidecar);
+        let engine = Engine::load(&path, bytes, &sidecar, &head, precision)?;
         let input = [sidecar.input.width_px, sidecar.input.height_px];
         let letterbox = Letterbox::new(input, &sidecar.input.normalisation());
         let name = Name::try_from(sidecar.name.as_str()).unwrap_or_default();
         let candidates = Vec::with_capacity(MAX_CANDIDATES);
         let model = ModelRef { name, sha256 };
-        Ok(Self { plan, sidecar, model, head, letterbox, candidates })
+        Ok(Self { file: path, engine, sidecar, model, head, letterbox, candidates })
+    }
+
+    /// The model file.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// The net's input for `picture` as other runtimes take it: three planes of floats.
+    pub fn planes(&mut self, picture: &Picture) -> Vec<f32> {
+        let mut planes = vec![0.0; self.letterbox.len()];
+        self.letterbox.fill(picture, letterbox::Into::Planes(&mut planes));
+        planes
     }
 
     /// Name and hash of the model, for messages.
@@ -150,9 +182,14 @@ impl Detector {
         self.read(picture, &output, found)
     }
 
+    /// What computes: tract, or the instruction set of the kernels with the reason why not.
+    pub fn runs_on(&self) -> String {
+        self.engine.describe()
+    }
+
     /// First step: the picture into the net's input.
     pub fn prepare(&mut self, picture: &Picture) {
-        self.letterbox.fill(picture);
+        self.letterbox.fill(picture, self.engine.input());
     }
 
     /// Second step: the net.
@@ -160,15 +197,7 @@ impl Detector {
     /// # Errors
     /// [`DetectError`] where inference fails.
     pub fn infer(&mut self) -> Result<Inferred, DetectError> {
-        let failed = |error: TractError| DetectError { reason: format!("{error:#}") };
-        let [width, height] = self.letterbox.input();
-        let tensor = Tensor::from_shape(&[1, 3, height, width], self.letterbox.planes());
-        let output = self.plan.run(tvec!(tensor.map_err(failed)?.into())).map_err(failed)?;
-        output
-            .into_iter()
-            .next()
-            .map(Inferred)
-            .ok_or_else(|| DetectError { reason: "the model has no output".to_owned() })
+        self.engine.run().map(Inferred).map_err(|reason| DetectError { reason })
     }
 
     /// Third step: the net's output into boxes.
@@ -181,11 +210,10 @@ impl Detector {
         output: &Inferred,
         found: &mut Vec<Detection>,
     ) -> Result<(), DetectError> {
-        let failed = |error: TractError| DetectError { reason: format!("{error:#}") };
-        let view = output.0.to_plain_array_view::<f32>().map_err(failed)?;
-        let rows = view.as_slice().unwrap_or_default();
         self.candidates.clear();
-        self.head.read(rows, &mut self.candidates);
+        self.engine
+            .read(&output.0, &self.head, &mut self.candidates)
+            .map_err(|reason| DetectError { reason })?;
         let thresholds = &self.sidecar.thresholds;
         nms::suppress(&mut self.candidates, thresholds.iou, MAX_CANDIDATES, found);
         for detection in found {
@@ -195,43 +223,6 @@ impl Detector {
     }
 }
 
-/// What the net gave for one picture.
+/// What the net gave for one picture, until the next one is prepared.
 #[derive(Debug)]
-pub struct Inferred(TValue);
-
-fn plan(
-    path: &Path,
-    bytes: &[u8],
-    sidecar: &Sidecar,
-) -> Result<Arc<TypedRunnableModel>, ModelError> {
-    let load = |error: TractError| ModelError::Load {
-        path: path.to_owned(),
-        reason: format!("{error:#}"),
-    };
-    let model = tract_onnx::onnx().model_for_read(&mut Cursor::new(bytes)).map_err(load)?;
-    let expected = vec![1, 3, sidecar.input.height_px, sidecar.input.width_px];
-    if let Some(actual) = known_shape(model.input_fact(0).map_err(load)?)
-        && actual != expected
-    {
-        let what = "the input";
-        return Err(ModelError::Shape { path: path.to_owned(), what, expected, actual });
-    }
-    let model = model
-        .with_input_fact(0, f32::fact(&expected).into())
-        .and_then(InferenceModelExt::into_optimized)
-        .map_err(load)?;
-    let output = model.output_fact(0).map_err(load)?;
-    let actual: Vec<usize> = output.shape.as_concrete().map(<[_]>::to_vec).unwrap_or_default();
-    let expected = Head::new(sidecar).output_shape().to_vec();
-    if actual != expected {
-        let what = "the output";
-        return Err(ModelError::Shape { path: path.to_owned(), what, expected, actual });
-    }
-    model.into_runnable().map_err(load)
-}
-
-/// The shape of a fact whose every dimension is known.
-fn known_shape(fact: &InferenceFact) -> Option<Vec<usize>> {
-    let dims = fact.shape.as_concrete_finite().ok()??;
-    Some(dims.to_vec())
-}
+pub struct Inferred(engine::Output);

@@ -12,6 +12,10 @@ use crate::whole;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::path::Path;
+use std::sync::Mutex;
+
+/// Partitions that are written at the same time; each holds one site's day in memory.
+const WRITERS: usize = 8;
 
 /// What a compaction did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -24,6 +28,25 @@ pub struct Done {
     pub rejected: usize,
     /// Gaps in the numbers of messages that remain in the days that were touched.
     pub gaps: Vec<Gap>,
+    /// The days that were touched.
+    days: Vec<Partition>,
+}
+
+impl Done {
+    /// Takes in what was done after it.
+    fn take(&mut self, later: Self) {
+        self.windows += later.windows;
+        self.duplicates += later.duplicates;
+        self.rejected += later.rejected;
+        // A day that was touched again has new gaps.
+        let again = |gap: &Gap| {
+            let day = gap.after_ms.div_euclid(DAY_MS);
+            later.days.iter().any(|touched| touched.day == day && touched.site == gap.site)
+        };
+        self.gaps.retain(|gap| !again(gap));
+        self.gaps.extend(later.gaps);
+        self.days.extend(later.days);
+    }
 }
 
 /// Messages that are missing between two windows.
@@ -79,40 +102,55 @@ pub fn compact(root: &Path, segments: &[std::path::PathBuf]) -> Result<Done, Fai
         let path = root.join("_lock");
         let lock = File::create(&path).map_err(|source| Failure::writing(&path, source))?;
         lock.lock().map_err(|source| Failure::writing(&path, source))?;
-        for (partition, windows) in days {
-            merge(root, &partition, &windows, &mut done)?;
-        }
+        done.take(merge_all(root, days)?);
         fs::remove_file(segment).map_err(|source| Failure::writing(segment, source))?;
     }
     Ok(done)
 }
 
-fn merge(
-    root: &Path,
-    partition: &Partition,
-    windows: &[Window],
-    done: &mut Done,
-) -> Result<(), Failure> {
+/// Merges partitions side by side: the time goes into waiting for the disk.
+fn merge_all(root: &Path, days: BTreeMap<Partition, Vec<Window>>) -> Result<Done, Failure> {
+    let queue = Mutex::new(days.into_iter());
+    let work = || -> Result<Done, Failure> {
+        let mut done = Done::default();
+        loop {
+            let next = queue.lock().expect("no thread panics with it").next();
+            let Some((partition, windows)) = next else { return Ok(done) };
+            done.take(merge(root, &partition, &windows)?);
+        }
+    };
+    let results: Vec<Result<Done, Failure>> = std::thread::scope(|scope| {
+        let running: Vec<_> = (0..WRITERS).map(|_| scope.spawn(work)).collect();
+        running.into_iter().map(|thread| thread.join().expect("no thread panics")).collect()
+    });
+    let mut done = Done::default();
+    for result in results {
+        done.take(result?);
+    }
+    done.gaps.sort_by(|a, b| (&a.site, a.after_ms).cmp(&(&b.site, b.after_ms)));
+    Ok(done)
+}
+
+fn merge(root: &Path, partition: &Partition, windows: &[Window]) -> Result<Done, Failure> {
     let path = partition.path(root);
     let mut rows = if path.exists() { store::read(&path)? } else { Vec::new() };
     let mut there: BTreeSet<(i32, i64)> =
         rows.iter().map(|row| (row.window_s, row.from_ms)).collect();
-    let before = there.len();
+    let mut done = Done { days: vec![partition.clone()], ..Done::default() };
     for window in windows {
         if there.insert((window.window_s as i32, window.from_ms())) {
             rows.extend(of_window(window));
+            done.windows += 1;
         } else {
             done.duplicates += 1;
         }
     }
-    if there.len() > before {
-        done.windows += there.len() - before;
+    if done.windows > 0 {
         rows.sort_by_key(Row::key);
         store::write(&path, &rows)?;
     }
-    done.gaps.retain(|gap| gap.site != partition.site || gap.after_ms / DAY_MS != partition.day);
-    done.gaps.extend(gaps(&partition.site, &rows));
-    Ok(())
+    done.gaps = gaps(&partition.site, &rows);
+    Ok(done)
 }
 
 /// The rows of a window: its lanes, then their cells.
@@ -209,7 +247,7 @@ mod tests {
         assert_eq!((done.windows, done.duplicates, done.rejected), (2, 1, 1));
         assert_eq!(done.gaps, [gap(1)]);
         let done = archive(&[minute("a", 3)]);
-        assert_eq!(done, Done { windows: 1, ..Done::default() });
+        assert_eq!((done.windows, done.duplicates, done.gaps), (1, 0, vec![]));
         let partitions = store::partitions(root).unwrap();
         assert_eq!(partitions.iter().map(|p| p.site.as_str()).collect::<Vec<_>>(), ["a", "b"]);
         assert_eq!(partitions[0].date(), "2026-01-05");

@@ -76,13 +76,14 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let every = Duration::from_secs(arguments.compact_every.max(1));
     let idle = arguments.until_idle.map(Duration::from_secs);
     let (mut compacted, mut heard) = (Instant::now(), Instant::now());
-    let mut taken = 0;
+    let (mut taken, mut first) = (0, None);
     while !stop.load(Ordering::Relaxed) && idle.is_none_or(|idle| heard.elapsed() < idle) {
         let messages = subscriber.receive(TICK);
         if !messages.is_empty() {
-            heard = Instant::now();
+            first.get_or_insert_with(Instant::now);
             journal.append(messages.iter().map(|message| &message.payload[..]))?;
             subscriber.acknowledge(&messages);
+            heard = Instant::now();
             taken += messages.len();
         }
         let due = compacted.elapsed() > every || journal.written() > SEGMENT_BYTES;
@@ -97,7 +98,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     journal.close_segment();
     compactor.begin(out, &journal)?;
     compactor.wait()?;
-    eprintln!("verge-tmc: {taken} messages taken");
+    let seconds = first.map_or(0.0, |first| heard.duration_since(first).as_secs_f64());
+    eprintln!("verge-tmc: {taken} messages taken, the last {seconds:.1} s after the first");
     Ok(())
 }
 
@@ -166,7 +168,7 @@ impl Compactor {
 const NAMED_GAPS: usize = 10;
 
 fn say(done: &Done) {
-    let Done { windows, duplicates, rejected, gaps } = done;
+    let Done { windows, duplicates, rejected, gaps, .. } = done;
     let missing: i64 = gaps.iter().map(|gap| gap.missing).sum();
     eprintln!(
         "verge-tmc: {windows} windows archived, {duplicates} duplicates, {rejected} rejected, \

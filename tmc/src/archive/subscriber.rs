@@ -118,7 +118,13 @@ impl Subscriber {
     }
 
     /// Tells the broker that these are safe.
+    ///
+    /// Not where the connection has broken since: the numbers of its packets mean nothing to
+    /// the next one, on which the broker sends the messages again.
     pub(super) fn acknowledge(&mut self, messages: &[Publish]) {
+        if !self.connected {
+            return;
+        }
         for message in messages {
             // One that finds no room comes again and is found to be a duplicate.
             let _ = self.client.try_ack(message);

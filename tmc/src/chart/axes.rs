@@ -3,7 +3,7 @@
 use super::{Anchor, Colour, Drawing, INK, PALE, Shape};
 
 const LEFT: f64 = 62.0;
-const RIGHT: f64 = 16.0;
+const RIGHT: f64 = 24.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = 46.0;
 const SMALL: f64 = 12.0;

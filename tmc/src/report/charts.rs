@@ -112,7 +112,8 @@ pub(super) fn week(title: &str, week: &[[Mean; BINS]]) -> Drawing {
 fn along_the_road(summary: &Summary) -> Drawing {
     let end = summary.road.len() as f64 * f64::from(summary.cell_m);
     let values = summary.road.iter().flatten().filter_map(|mean| mean.value());
-    let top = values.fold(1.0, f64::max) * 1.1;
+    // Room for the key above the curves.
+    let top = values.fold(1.0, f64::max) * (1.1 + 0.08 * summary.lanes().len() as f64);
     let mut axes = Axes::new([WIDTH, 320], [0.0, end], [0.0, top]);
     let title = format!("{}: mean density along the road", summary.site);
     axes.labels(&title, ["position, m", DENSITY]);

@@ -1,0 +1,27 @@
+//! Small convolutional networks on one core: int8 and 32-bit floats, channels last, no heap
+//! while they run.
+//!
+//! Owns the arithmetic and the memory of a network that was put together with [`Builder`];
+//! knows nothing of model files. Each kernel is written once over a vector of lanes and
+//! compiled for every instruction set; [`Isa::best`] picks one when the program runs. Integer
+//! networks give the same bytes on all of them.
+//!
+//! The one place of the project, besides the clock and the microcontroller, with `unsafe`:
+//! vector instructions and the pointers that they need.
+
+mod conv;
+mod isa;
+mod lanes;
+mod moves;
+mod net;
+mod pack;
+mod step;
+
+#[cfg(target_arch = "aarch64")]
+mod arm;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+pub use isa::Isa;
+pub use net::{Builder, Net, PlanError, Shape, Tensor};
+pub use pack::{Conv, Steps, Weights};

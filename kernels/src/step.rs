@@ -1,0 +1,231 @@
+//! One step of a network on the memory that all steps share.
+//!
+//! Owns what a step names and the only place where offsets become pointers.
+
+use crate::conv::{self, Packed, PackedF, Pixels, Window};
+use crate::lanes::Lanes;
+use crate::moves::{self, Rescale};
+
+/// Where a picture lies: first byte, and bytes from pixel to pixel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    pub offset: usize,
+    pub stride: usize,
+}
+
+/// What a step does.
+#[derive(Clone, Debug)]
+pub(crate) enum Work {
+    Product {
+        packed: Packed,
+        count: usize,
+    },
+    ProductF {
+        packed: PackedF,
+        count: usize,
+    },
+    Dense {
+        packed: Packed,
+        window: Window,
+        channels: usize,
+        outside: u8,
+    },
+    DenseF {
+        packed: PackedF,
+        window: Window,
+        channels: usize,
+    },
+    Depthwise {
+        packed: Packed,
+        window: Window,
+        outside: u8,
+    },
+    DepthwiseF {
+        packed: PackedF,
+        window: Window,
+    },
+    Pool {
+        window: Window,
+        channels: usize,
+    },
+    PoolF {
+        window: Window,
+        channels: usize,
+    },
+    Interleave {
+        channels: usize,
+        count: usize,
+    },
+    InterleaveF {
+        channels: usize,
+        count: usize,
+    },
+    /// Bytes of a pixel.
+    Copy {
+        bytes: usize,
+        count: usize,
+    },
+    Rescale {
+        scale: Rescale,
+        channels: usize,
+        count: usize,
+    },
+    Add {
+        scales: [Rescale; 2],
+        channels: usize,
+        count: usize,
+    },
+    AddF {
+        channels: usize,
+        count: usize,
+    },
+    Double {
+        size: [usize; 2],
+        channels: usize,
+    },
+    DoubleF {
+        size: [usize; 2],
+        channels: usize,
+    },
+}
+
+impl Work {
+    /// For reports.
+    pub(crate) fn name(&self) -> &'static str {
+        match self {
+            Self::Product { .. } | Self::ProductF { .. } => "conv 1x1",
+            Self::Dense { .. } | Self::DenseF { .. } => "conv dense",
+            Self::Depthwise { window, .. } | Self::DepthwiseF { window, .. } => {
+                match (window.kernel, window.stride) {
+                    (3, 1) => "depthwise 3x3",
+                    (3, _) => "depthwise 3x3, stride 2",
+                    (_, 1) => "depthwise 5x5",
+                    _ => "depthwise 5x5, stride 2",
+                }
+            }
+            Self::Pool { .. } | Self::PoolF { .. } => "max pool",
+            Self::Interleave { .. } | Self::InterleaveF { .. } => "shuffle",
+            Self::Copy { .. } | Self::Rescale { .. } => "concatenate",
+            Self::Add { .. } | Self::AddF { .. } => "add",
+            Self::Double { .. } | Self::DoubleF { .. } => "enlarge",
+        }
+    }
+}
+
+/// A step with its places. A step of one input names it twice.
+#[derive(Clone, Debug)]
+pub(crate) struct Step {
+    pub work: Work,
+    pub from: [Place; 2],
+    pub to: Place,
+}
+
+/// All pictures of a network, and what a step needs for itself.
+#[derive(Clone, Debug)]
+pub(crate) struct Arena {
+    /// 64 bytes each, so that vectors lie in one line of the cache.
+    pub pictures: Vec<Line>,
+    pub scratch: Vec<Line>,
+}
+
+/// A line of the cache.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Line(pub [u8; 64]);
+
+/// Bytes that must be readable behind the last picture: a vector.
+pub(crate) const BEHIND: usize = 64;
+
+impl Arena {
+    /// Of as many bytes.
+    pub(crate) fn new(pictures: usize, scratch: usize) -> Self {
+        let lines = |bytes: usize| vec![Line([0; 64]); (bytes + BEHIND).div_ceil(64) + 1];
+        Self { pictures: lines(pictures), scratch: lines(scratch) }
+    }
+}
+
+/// Does `step`.
+///
+/// # Safety
+/// The processor has the instructions of `S`; `step` was planned for this arena and `S`.
+#[inline(always)]
+pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
+    let pictures = arena.pictures.as_mut_ptr().cast::<u8>();
+    let scratch = arena.scratch.as_mut_ptr().cast::<u8>();
+    // SAFETY: the plan laid the places inside the arena, and outputs apart from inputs.
+    unsafe {
+        let bytes =
+            |place: Place| Pixels { start: pictures.add(place.offset), stride: place.stride };
+        let floats = |place: Place| Pixels {
+            start: pictures.add(place.offset).cast::<f32>(),
+            stride: place.stride / 4,
+        };
+        let (a, b) = (step.from[0], step.from[1]);
+        match &step.work {
+            Work::Product { packed, count } => {
+                conv::product::<S>(packed, bytes(a), bytes(step.to), *count);
+            }
+            Work::ProductF { packed, count } => {
+                conv::product_f::<S>(packed, floats(a), floats(step.to), *count);
+            }
+            Work::Dense { packed, window, channels, outside } => {
+                let width = 4 * packed.fours;
+                let rows = Pixels { start: scratch, stride: width };
+                for y in 0..window.to[0] {
+                    conv::windows(window, bytes(a), *channels, y, scratch, width, *outside);
+                    let to = bytes(step.to);
+                    let start = to.start.add(y * window.to[1] * to.stride);
+                    conv::product::<S>(packed, rows, Pixels { start, ..to }, window.to[1]);
+                }
+            }
+            Work::DenseF { packed, window, channels } => {
+                let width = packed.inputs;
+                let scratch = scratch.cast::<f32>();
+                let rows = Pixels { start: scratch, stride: width };
+                for y in 0..window.to[0] {
+                    conv::windows(window, floats(a), *channels, y, scratch, width, 0.0);
+                    let to = floats(step.to);
+                    let start = to.start.add(y * window.to[1] * to.stride);
+                    conv::product_f::<S>(packed, rows, Pixels { start, ..to }, window.to[1]);
+                }
+            }
+            Work::Depthwise { packed, window, outside } => {
+                conv::depthwise::<S>(packed, window, bytes(a), bytes(step.to), *outside, scratch);
+            }
+            Work::DepthwiseF { packed, window } => {
+                conv::depthwise_f::<S>(packed, window, floats(a), floats(step.to));
+            }
+            Work::Pool { window, channels } => {
+                moves::pool(window, *channels, 0u8, bytes(a), bytes(step.to));
+            }
+            Work::PoolF { window, channels } => {
+                let least = f32::NEG_INFINITY;
+                moves::pool(window, *channels, least, floats(a), floats(step.to));
+            }
+            Work::Interleave { channels, count } => {
+                moves::interleave(bytes(a), bytes(b), bytes(step.to), *channels, *count);
+            }
+            Work::InterleaveF { channels, count } => {
+                moves::interleave(floats(a), floats(b), floats(step.to), *channels, *count);
+            }
+            Work::Copy { bytes: width, count } => {
+                moves::copy(bytes(a), bytes(step.to), *width, *count);
+            }
+            Work::Rescale { scale, channels, count } => {
+                moves::rescale(*scale, bytes(a), bytes(step.to), *channels, *count);
+            }
+            Work::Add { scales, channels, count } => {
+                moves::add(*scales, [bytes(a), bytes(b)], bytes(step.to), *channels, *count);
+            }
+            Work::AddF { channels, count } => {
+                moves::add_f([floats(a), floats(b)], floats(step.to), *channels, *count);
+            }
+            Work::Double { size, channels } => {
+                moves::double(*size, *channels, bytes(a), bytes(step.to));
+            }
+            Work::DoubleF { size, channels } => {
+                moves::double(*size, *channels, floats(a), floats(step.to));
+            }
+        }
+    }
+}

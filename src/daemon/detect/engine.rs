@@ -1,0 +1,196 @@
+//! What computes a net: the project's own kernels, or tract.
+//!
+//! Owns the choice between them and the input and output of both.
+
+use super::head::Head;
+use super::letterbox::Into;
+use super::lower::{Lowered, lower};
+use super::sidecar::Sidecar;
+use super::tail::Tail;
+use super::tract::{
+    DatumExt, Framework, InferenceFact, InferenceModelExt, IntoRunnable, TValue, Tensor,
+    TractError, TypedRunnableModel, tvec,
+};
+use super::{ModelError, onnx, pb};
+use crate::daemon::flow::Detection;
+use std::path::Path;
+use std::sync::Arc;
+use verge_kernels::{Isa, Net};
+
+/// The arithmetic that a model is run in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// As the model file says: in steps where it rounds, else in floats.
+    #[default]
+    AsStored,
+    /// The same weights in 32-bit floats, without rounding in between.
+    Float,
+    /// As the file says, on the portable kernels: the reference for all others.
+    Portable,
+    /// In tract, as it is.
+    Tract,
+}
+
+/// A loaded net.
+#[derive(Debug)]
+pub(super) enum Engine {
+    /// On the kernels.
+    Kernels { net: Box<Net>, levels: usize, tail: Tail, row: Vec<f32> },
+    /// In tract, with the input's planes and the reason why.
+    Tract { plan: Arc<TypedRunnableModel>, shape: [usize; 4], planes: Vec<f32>, why: String },
+}
+
+/// What an engine gave.
+#[derive(Debug)]
+pub(super) enum Output {
+    /// It lies in the net.
+    Inside,
+    /// tract's own.
+    Tract(TValue),
+}
+
+impl Engine {
+    /// Loads `bytes`, the model file at `path`.
+    pub(super) fn load(
+        path: &Path,
+        bytes: Vec<u8>,
+        sidecar: &Sidecar,
+        head: &Head,
+        precision: Precision,
+    ) -> Result<Self, ModelError> {
+        let load = |error: TractError| ModelError::Load {
+            path: path.to_owned(),
+            reason: format!("{error:#}"),
+        };
+        let mismatch = |what, expected: &[usize], actual: &[usize]| ModelError::Shape {
+            path: path.to_owned(),
+            what,
+            expected: expected.to_vec(),
+            actual: actual.to_vec(),
+        };
+        let reader = onnx();
+        let proto = reader.proto_model_for_read(&mut &bytes[..]).map_err(load)?;
+        drop(bytes);
+        let (width, height) = (sidecar.input.width_px, sidecar.input.height_px);
+        let shape = [1, 3, height, width];
+        let why = match Self::on_kernels(&proto, precision) {
+            Ok(Lowered { net, levels, parts, input }) => {
+                if input != shape {
+                    return Err(mismatch("the input", &shape, &input));
+                }
+                let columns = parts.iter().map(super::tail::Part::columns).sum();
+                let cells = (0..levels).map(|level| net.output(level).count()).sum();
+                let expected = head.output_shape();
+                if [1, cells, columns] != expected || levels != head.levels() {
+                    return Err(mismatch("the output", &expected, &[1, cells, columns]));
+                }
+                let tail = Tail::new(parts, head.scores(), sidecar.thresholds.score);
+                let row = Vec::with_capacity(columns);
+                return Ok(Self::Kernels { net: Box::new(net), levels, tail, row });
+            }
+            Err(why) => why,
+        };
+        let model = reader.model_for_proto_model(&proto).map_err(load)?;
+        if let Some(actual) = known_shape(model.input_fact(0).map_err(load)?)
+            && actual != shape
+        {
+            return Err(mismatch("the input", &shape, &actual));
+        }
+        let model = model
+            .with_input_fact(0, f32::fact(shape).into())
+            .and_then(InferenceModelExt::into_optimized)
+            .map_err(load)?;
+        let output = model.output_fact(0).map_err(load)?;
+        let actual: Vec<usize> = output.shape.as_concrete().map(<[_]>::to_vec).unwrap_or_default();
+        let expected = head.output_shape();
+        if actual != expected {
+            return Err(mismatch("the output", &expected, &actual));
+        }
+        let plan = model.into_runnable().map_err(load)?;
+        Ok(Self::Tract { plan, shape, planes: vec![0.0; 3 * height * width], why })
+    }
+
+    fn on_kernels(proto: &pb::ModelProto, precision: Precision) -> Result<Lowered, String> {
+        let isa = match precision {
+            Precision::Tract => return Err("tract was asked for".to_owned()),
+            Precision::Portable => Isa::Portable,
+            Precision::AsStored | Precision::Float => Isa::best(),
+        };
+        let graph = proto.graph.as_ref().ok_or("a file without a graph")?;
+        lower(graph, precision == Precision::Float, isa)
+    }
+
+    /// In words.
+    pub(super) fn describe(&self) -> String {
+        match self {
+            Self::Kernels { net, .. } => {
+                let kind = if net.input_steps().is_some() { "int8" } else { "f32" };
+                format!("{kind} kernels, {}", net.isa().name())
+            }
+            Self::Tract { why, .. } => format!("tract ({why})"),
+        }
+    }
+
+    /// Where the next picture goes.
+    pub(super) fn input(&mut self) -> Into<'_> {
+        match self {
+            Self::Tract { planes, .. } => Into::Planes(planes),
+            Self::Kernels { net, .. } => match net.input_steps() {
+                Some(steps) => Into::Steps(net.input_bytes(), steps),
+                None => Into::Pixels(net.input_floats()),
+            },
+        }
+    }
+
+    /// Computes.
+    pub(super) fn run(&mut self) -> Result<Output, String> {
+        match self {
+            Self::Kernels { net, .. } => {
+                net.run();
+                Ok(Output::Inside)
+            }
+            Self::Tract { plan, shape, planes, .. } => {
+                let failed = |error: TractError| format!("{error:#}");
+                let tensor = Tensor::from_shape(&shape[..], planes).map_err(failed)?;
+                let output = plan.run(tvec!(tensor.into())).map_err(failed)?;
+                let first = output.into_iter().next();
+                first.map(Output::Tract).ok_or_else(|| "the model has no output".to_owned())
+            }
+        }
+    }
+
+    /// Adds the candidates of `output`.
+    pub(super) fn read(
+        &mut self,
+        output: &Output,
+        head: &Head,
+        candidates: &mut Vec<Detection>,
+    ) -> Result<(), String> {
+        match (self, output) {
+            (Self::Kernels { net, levels, tail, row }, Output::Inside) => {
+                for level in 0..*levels {
+                    for (cell, raw) in head.cells(level).zip(net.output(level)) {
+                        if tail.may_count(raw) {
+                            tail.complete(raw, row);
+                            head.consider(row, cell, candidates);
+                        }
+                    }
+                }
+                Ok(())
+            }
+            (_, Output::Tract(value)) => {
+                let view =
+                    value.to_plain_array_view::<f32>().map_err(|error| format!("{error:#}"))?;
+                head.read(view.as_slice().unwrap_or_default(), candidates);
+                Ok(())
+            }
+            (Self::Tract { .. }, Output::Inside) => Err("an output of another net".to_owned()),
+        }
+    }
+}
+
+/// The shape of a fact whose every dimension is known.
+fn known_shape(fact: &InferenceFact) -> Option<Vec<usize>> {
+    let dims = fact.shape.as_concrete_finite().ok()??;
+    Some(dims.to_vec())
+}

@@ -1,0 +1,38 @@
+//! Each outside crate has one door, and the centre imports neither sensor nor calibration.
+
+use std::path::Path;
+
+fn sources(folder: &Path, found: &mut Vec<(String, String)>) {
+    for entry in std::fs::read_dir(folder).expect("a folder of the crate") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else {
+            let text = std::fs::read_to_string(&path).expect("a source file");
+            // What tests use is no part of the product.
+            let product = text.split("#[cfg(test)]").next().unwrap_or_default().to_owned();
+            found.push((path.to_string_lossy().into_owned(), product));
+        }
+    }
+}
+
+#[test]
+fn each_outside_crate_has_one_door() {
+    let mut found = Vec::new();
+    sources(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/src")), &mut found);
+    assert!(found.len() > 20, "the crate has sources");
+    let doors = [
+        ("parquet::", "src/store/parquet_file.rs"),
+        ("rumqttc::", "src/archive/subscriber.rs"),
+        ("tiny_skia::", "src/chart/png.rs"),
+        ("signal_hook::", "src/archive/mod.rs"),
+        ("verge::", "nowhere"),
+        ("mvcalib::", "nowhere"),
+        ("street::", "nowhere"),
+    ];
+    for (path, text) in &found {
+        for (outside, door) in doors {
+            assert!(path.ends_with(door) || !text.contains(outside), "{path} names {outside}");
+        }
+    }
+}

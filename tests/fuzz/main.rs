@@ -281,12 +281,12 @@ fn small_table() -> Vec<u8> {
         calibration_id: name("calibration"),
         calibration_sha256: [3; 32],
     };
-    let mut bytes = vec![0; lane::encoded_len(&description)];
+    let mut bytes = vec![0; lane::encoded_len(&description, None)];
     let cell = |u: u16, v: u16| {
         let lane = LaneId::new((u / 6) as u8)?;
         (lane.get() < 3).then(|| lane::Place { lane, s_m: f32::from(v) * 4.0, span_m: 0.5 })
     };
-    let len = lane::encode(&description, cell, &mut bytes).expect("a right table");
+    let len = lane::encode(&description, None, cell, &mut bytes).expect("a right table");
     bytes.truncate(len);
     bytes
 }

@@ -101,6 +101,9 @@ pub enum Failure {
         /// What to do.
         hint: &'static str,
     },
+    /// A stage panicked.
+    #[error("a fault of the program, please report it: {0}")]
+    Stage(String),
     /// A part of the demo or the benchmark did not do its work.
     #[error("{0}")]
     Internal(String),
@@ -136,7 +139,7 @@ impl Failure {
             Self::Locate(_) => DATAERR,
             Self::Write { .. } => CANTCREAT,
             Self::Checks { code, .. } => *code,
-            Self::Detect(_) | Self::Internal(_) => SOFTWARE,
+            Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
         }
     }
 }

@@ -9,6 +9,7 @@
 //! is a module that knows the values of [`flow`] and no other stage; aggregation is the
 //! core's [`crate::density`].
 
+mod board;
 pub mod capture;
 mod cli;
 mod clock;
@@ -18,6 +19,7 @@ pub mod detect;
 pub mod exit;
 pub mod flow;
 pub mod locate;
+mod notify;
 mod output;
 mod playback;
 pub mod publish;

@@ -215,6 +215,8 @@ impl core::error::Error for AggregateError {}
 struct Window {
     length: Duration,
     from: Option<UtcMs>,
+    /// Slowest time between frames that it had.
+    interval: Duration,
     series: [Series; MAX_LANES],
     fault: SampleZoneStatus,
 }
@@ -257,6 +259,7 @@ impl Aggregator {
             let window = Window {
                 length,
                 from: None,
+                interval,
                 series: Default::default(),
                 fault: Default::default(),
             };
@@ -266,6 +269,15 @@ impl Aggregator {
             return Err(AggregateError::WindowCount(0));
         }
         Ok(Self { lanes: lanes.clone(), windows, interval, min_completeness, start })
+    }
+
+    /// From now on a frame comes each `interval`. Running windows expect as many frames as
+    /// the slowest pace gives that they had.
+    pub fn set_interval(&mut self, interval: Duration) {
+        self.interval = interval;
+        for window in &mut self.windows {
+            window.interval = window.interval.max(interval);
+        }
     }
 
     /// Takes the counts of a frame captured at `time` and returns the windows that it
@@ -316,6 +328,7 @@ impl Aggregator {
                 Window {
                     length: window.length,
                     from: Some(aligned),
+                    interval: self.interval,
                     series: Default::default(),
                     fault: Default::default(),
                 },
@@ -343,7 +356,7 @@ impl Aggregator {
     }
 
     fn report(&self, window: &Window, from: UtcMs) -> WindowReport {
-        let (length_ms, interval_ms) = (millis(window.length), millis(self.interval).max(1));
+        let (length_ms, interval_ms) = (millis(window.length), millis(window.interval).max(1));
         let expected = length_ms.saturating_add(interval_ms / 2).checked_div(interval_ms);
         let expected = expected.map_or(1, |n| n.clamp(1, i64::from(u32::MAX)) as u32);
         let mut lanes = heapless::Vec::new();

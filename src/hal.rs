@@ -20,11 +20,16 @@ pub trait Switch {
 pub trait Watchdog {
     /// What can go wrong.
     type Error: core::fmt::Debug;
-    /// Starts the count again.
+    /// Starts the count, or starts it again.
     ///
     /// # Errors
     /// The device's own.
     fn feed(&mut self) -> Result<(), Self::Error>;
+    /// Stops the count, where the program ends on purpose.
+    ///
+    /// # Errors
+    /// The device's own.
+    fn disarm(&mut self) -> Result<(), Self::Error>;
 }
 
 /// Temperature inside the enclosure.
@@ -75,6 +80,9 @@ impl Switch for () {
 impl Watchdog for () {
     type Error = core::convert::Infallible;
     fn feed(&mut self) -> Result<(), Self::Error> {
+        Ok(())
+    }
+    fn disarm(&mut self) -> Result<(), Self::Error> {
         Ok(())
     }
 }

@@ -7,9 +7,12 @@
 use crate::density::SampleZoneStatus;
 use core::time::Duration;
 
-/// A picture that is missing or frozen is noticed after this time, or after
-/// [`PERIODS`] of the camera where those are longer.
+/// A frozen picture is noticed after this time, or after [`PERIODS`] of the camera where
+/// those are longer.
 pub const NOTICE: Duration = Duration::from_secs(20);
+/// The same for a missing picture: half as long, since the line may wait another ten
+/// seconds for the next picture before it can say so. It is said within twenty.
+pub const NOTICE_MISSING: Duration = Duration::from_secs(10);
 /// Camera periods without a new picture until it is noticed.
 pub const PERIODS: u32 = 3;
 /// How long the camera's power stays off in a power cycle: long enough for its supply's
@@ -70,6 +73,7 @@ pub struct Actions {
 #[derive(Clone, Debug)]
 pub struct Health {
     limit: Duration,
+    missing_limit: Duration,
     last_new: Duration,
     last_any: Duration,
     next_cycle: Duration,
@@ -83,6 +87,7 @@ impl Health {
         let limit = interval.saturating_mul(PERIODS).max(NOTICE);
         Self {
             limit,
+            missing_limit: interval.saturating_mul(PERIODS).max(NOTICE_MISSING),
             last_new: now,
             last_any: now,
             next_cycle: now.saturating_add(limit).saturating_add(POWER_CYCLE_FIRST),
@@ -96,6 +101,13 @@ impl Health {
         self.on(Event::Missing, now)
     }
 
+    /// Says what follows at `now` when no picture is asked for, on purpose: the camera is
+    /// neither missing nor frozen.
+    pub fn hold(&mut self, now: Duration) -> Actions {
+        (self.last_new, self.last_any) = (now, now);
+        self.on(Event::Missing, now)
+    }
+
     /// Takes what happened at `now` and returns what follows.
     pub fn on(&mut self, event: Event, now: Duration) -> Actions {
         match event {
@@ -103,7 +115,7 @@ impl Health {
             Event::Unchanged | Event::Damaged => self.last_any = now,
             Event::Missing => {}
         }
-        let alarm = if now.saturating_sub(self.last_any) > self.limit {
+        let alarm = if now.saturating_sub(self.last_any) > self.missing_limit {
             Some(Alarm::NoPicture)
         } else if now.saturating_sub(self.last_new) > self.limit {
             Some(Alarm::FrozenPicture)
@@ -152,13 +164,13 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_picture_is_noticed_after_20_s_and_forgotten_when_it_returns() {
+    fn a_missing_picture_is_noticed_after_10_s_and_forgotten_when_it_returns() {
         let mut health = Health::new(SECOND, after(0));
-        assert_eq!(health.on(Event::Missing, after(20)).alarm, None);
-        let noticed = health.on(Event::Missing, after(21));
+        assert_eq!(health.on(Event::Missing, after(10)).alarm, None);
+        let noticed = health.on(Event::Missing, after(11));
         assert_eq!(noticed.alarm, Some(Alarm::NoPicture));
         assert_eq!(noticed.status, SampleZoneStatus::SensorFailure);
-        assert_eq!(health.on(Event::Measured, after(22)).alarm, None);
+        assert_eq!(health.on(Event::Measured, after(12)).alarm, None);
     }
 
     #[test]
@@ -177,6 +189,17 @@ mod tests {
         let noticed = health.on(Event::Unchanged, after(21));
         assert_eq!(noticed.alarm, Some(Alarm::FrozenPicture));
         assert_eq!(noticed.status, SampleZoneStatus::InputDataIntegrity);
+    }
+
+    #[test]
+    fn a_pause_is_neither_a_missing_nor_a_frozen_picture() {
+        let mut health = Health::new(SECOND, after(0));
+        for second in 0..100 {
+            let actions = health.hold(after(second));
+            assert!(actions.alarm.is_none() && actions.camera_power_on, "{second} s");
+        }
+        assert_eq!(health.on(Event::Missing, after(109)).alarm, None);
+        assert_eq!(health.on(Event::Missing, after(110)).alarm, Some(Alarm::NoPicture));
     }
 
     #[test]

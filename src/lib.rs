@@ -1,7 +1,7 @@
 //! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
 //!
-//! The core (`units`, `lane`, `density`, `wire`, `hal`, `health`, `picture`, `scene`) is `no_std` and never
-//! allocates: time and temperature come in as arguments, effects go out as returned
+//! The core (`units`, `lane`, `density`, `wire`, `hal`, `health`, `fault`, `derate`, `picture`,
+//! `scene`) is `no_std` and never allocates: time and temperature come in as arguments, effects go out as returned
 //! values. `daemon`, behind the feature of that name, is the line from camera to broker.
 #![cfg_attr(not(feature = "daemon"), no_std)]
 
@@ -9,6 +9,8 @@
 extern crate std;
 
 pub mod density;
+pub mod derate;
+pub mod fault;
 pub mod hal;
 pub mod health;
 pub mod lane;

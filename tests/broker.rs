@@ -89,6 +89,8 @@ fn health() -> payload::Health<'static> {
         frames: payload::Frames::default(),
         stream: payload::Stream::default(),
         messages: payload::Messages::default(),
+        board: payload::Board { pace: "full", ..payload::Board::default() },
+        stage_faults: 0,
         last_fault: None,
     }
 }

@@ -100,6 +100,10 @@ pub struct Camera {
     pub password_file: Option<PathBuf>,
 }
 
+/// Longest wait for a picture, s: watchdogs take a line that waits for one that hangs, and
+/// the shortest (Raspberry Pi) counts 15 s.
+const MAX_TIMEOUT_S: f64 = 10.0;
+
 const fn default_timeout_s() -> f64 {
     10.0
 }
@@ -327,14 +331,14 @@ impl Config {
             "mqtt.root",
             format!("{:?}: give a topic without + #", self.mqtt.root),
         )?;
-        for (key, seconds) in [
-            ("camera.interval_s", self.camera.interval_s),
-            ("camera.timeout_s", self.camera.timeout_s),
+        for (key, seconds, most) in [
+            ("camera.interval_s", self.camera.interval_s, 3600.0),
+            ("camera.timeout_s", self.camera.timeout_s, MAX_TIMEOUT_S),
         ] {
             known(
-                (0.01..=3600.0).contains(&seconds),
+                (0.01..=most).contains(&seconds),
                 key,
-                format!("{seconds} s: give 0.01 to 3600"),
+                format!("{seconds} s: give 0.01 to {most}"),
             )?;
         }
         for &length in &self.windows.lengths_s {
@@ -493,6 +497,7 @@ mod tests {
             ("site = ", "sight = ", "sight"),
             ("interval_s = 120", "interval_s = 0", "camera.interval_s"),
             ("interval_s = 120", "interval_s = \"soon\"", "interval_s"),
+            ("#timeout_s = 10.0", "timeout_s = 60", "camera.timeout_s"),
             ("site = \"k109f\"", "site = \"a/b\"", "site"),
             ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
             ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),

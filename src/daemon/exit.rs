@@ -131,6 +131,9 @@ pub enum Failure {
          onnxruntime and numpy (pip install onnxruntime numpy)"
     )]
     OnnxRuntime(String),
+    /// A stage panicked.
+    #[error("a fault of the program, please report it: {0}")]
+    Stage(String),
     /// A part of the demo or the benchmark did not do its work.
     #[error("{0}")]
     Internal(String),
@@ -157,7 +160,9 @@ impl Failure {
                 CONFIG
             }
             Self::Capture(_) => UNAVAILABLE,
-            Self::Snapshot(_) | Self::Mjpeg(_) | Self::Device(_) | Self::OnnxRuntime(_) => UNAVAILABLE,
+            Self::Snapshot(_) | Self::Mjpeg(_) | Self::Device(_) | Self::OnnxRuntime(_) => {
+                UNAVAILABLE
+            }
             Self::Broker { .. } => UNAVAILABLE,
             Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,
@@ -169,7 +174,7 @@ impl Failure {
             Self::Spool(SpoolError::Version(_)) => DATAERR,
             Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,
-            Self::Detect(_) | Self::Internal(_) => SOFTWARE,
+            Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
         }
     }
 }

@@ -10,6 +10,7 @@
 //! core's [`crate::density`]. Between aggregation and the broker the [`spool`] keeps what
 //! has not arrived.
 
+mod board;
 pub mod capture;
 mod cli;
 mod clock;
@@ -21,6 +22,7 @@ pub mod export;
 pub mod flow;
 pub mod locate;
 pub mod metrics;
+mod notify;
 mod output;
 mod playback;
 pub mod publish;

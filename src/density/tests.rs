@@ -155,3 +155,27 @@ fn impossible_windows_are_refused() {
     assert_eq!(new(&[MINUTE], s(120)), Some(slow));
     assert_eq!(new(&[MINUTE; 7], s(1)), Some(AggregateError::WindowCount(7)));
 }
+
+#[test]
+fn a_slower_pace_is_expected_in_its_window_and_a_faster_one_in_the_next() {
+    let mut line = aggregator(&[MINUTE], Duration::from_secs(10), Start::AtNextWindow);
+    let frames = |line: &mut Aggregator, from: i64, step: usize| {
+        let mut closed = Closed::new();
+        for t in (from..from + 60).step_by(step) {
+            let now = line.observe(second(t), &cars(1, 2));
+            closed.extend(now);
+        }
+        closed
+    };
+    frames(&mut line, 0, 10);
+    line.set_interval(Duration::from_secs(20));
+    let full = frames(&mut line, 60, 20);
+    line.set_interval(Duration::from_secs(10));
+    let half = frames(&mut line, 120, 10);
+    let again = line.advance(second(180));
+    for (report, frames) in [(&full[0], (6, 3)), (&half[0], (3, 3)), (&again[0], (6, 6))] {
+        let lane = &report.lanes[0];
+        assert_eq!((lane.frames_used, lane.frames_expected), frames);
+        assert_eq!(lane.density_veh_km, Some(40.0));
+    }
+}

@@ -171,9 +171,8 @@ impl Open {
             DeviceError::NothingFits { path: path(), wanted: settings.size, offered }
         })?;
         let given = set(&device, settings, choice)?;
-        let mut stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS)
+        let stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS)
             .map_err(|e| failed(settings, "REQBUFS", &e))?;
-        stream.set_timeout(settings.timeout);
         log::info!("{}: {} as {given:?}", settings.path.display(), about.card);
         Ok(Self { stream: Stopping(Some(stream)), given, sequence: Sequence::default() })
     }
@@ -189,15 +188,16 @@ impl Open {
         let stream = self.stream.0.as_mut().expect("it is taken out only when it is dropped");
         let handle = stream.handle();
         let waits = || handle.poll(libc::POLLIN, 0).is_ok_and(|ready| ready > 0);
-        let mut flagged = 0;
+        let (begun, mut flagged) = (Instant::now(), 0);
         loop {
+            let Some(rest) = settings.timeout.checked_sub(begun.elapsed()) else {
+                return Err(timed_out(settings));
+            };
+            stream.set_timeout(rest);
             // Before the first frame the stream does not run and polls as an error.
             let waited = !self.sequence.is_new() && waits();
             let (bytes, meta) = stream.next().map_err(|error| match error.kind() {
-                ErrorKind::TimedOut => {
-                    let DeviceSettings { path, timeout, .. } = settings.clone();
-                    DeviceError::Timeout { path, timeout }.into()
-                }
+                ErrorKind::TimedOut => timed_out(settings),
                 _ => failed(settings, "DQBUF", &error),
             })?;
             let passes = question.passes(waited, waits());
@@ -253,6 +253,11 @@ fn guarded<T>(
 fn failed(settings: &DeviceSettings, step: &'static str, error: &Error) -> CaptureError {
     let (path, reason) = (settings.path.clone(), error.to_string());
     DeviceError::Stream { path, step, reason }.into()
+}
+
+fn timed_out(settings: &DeviceSettings) -> CaptureError {
+    let DeviceSettings { path, timeout, .. } = settings.clone();
+    DeviceError::Timeout { path, timeout }.into()
 }
 
 /// What the camera offers of what is read here.

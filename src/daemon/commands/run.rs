@@ -1,16 +1,21 @@
 //! `verge run`: measures and publishes until it is told to stop.
 
+use crate::daemon::board::Driven;
 use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::metrics::Metrics;
+use crate::daemon::notify::Notify;
 use crate::daemon::publish::home_assistant::{self, Announcement};
 use crate::daemon::publish::payload::{self, Frames, Messages, Stream, status_name};
 use crate::daemon::{Outlet, Station, open_outlet};
 use crate::density::{Closed, SampleZoneStatus};
+use crate::derate::Pace;
+use crate::fault::Allowance;
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use crate::health::{Actions, Alarm, Event, Health};
 use crate::units::UtcMs;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,7 +26,7 @@ const HEALTH_INTERVAL: Duration = Duration::from_secs(60);
 /// Longest sleep of the loop: windows close, lamps blink and stops are heard this late.
 const TICK: Duration = Duration::from_millis(250);
 
-pub fn run<L, R, W, T>(config: &Path, mut board: Board<L, R, W, T>) -> Result<(), Failure>
+pub fn run<L, R, W, T>(config: &Path, board: Board<L, R, W, T>) -> Result<(), Failure>
 where
     L: Switch,
     R: Switch,
@@ -30,24 +35,44 @@ where
 {
     let config = Config::read(config)?;
     let stop = stop_flag()?;
+    let mut notify = Notify::from_environment();
+    let mut board = Driven::new(board);
     let station = Station::open(&config)?;
     let outlet = open_outlet(&config, &station.line)?;
     log::info!("site {}: measuring every {:?}", config.site, config.interval());
     let mut sensor = Sensor::new(&config, station, outlet);
-    let mut next = Instant::now();
-    while !stop.load(Ordering::Relaxed) {
+    let (mut next, mut ready) = (Instant::now(), false);
+    let mut outcome = Ok(());
+    while outcome.is_ok() && !stop.load(Ordering::Relaxed) {
+        sensor.set_pace(board.pace(sensor.started.elapsed()));
         let mut event = None;
         if Instant::now() >= next {
-            event = Some(sensor.turn());
-            next = (next + config.interval()).max(Instant::now());
+            match sensor.turn() {
+                Ok(turned) => event = turned,
+                Err(failure) => outcome = Err(failure),
+            }
+            next = (next + sensor.interval()).max(Instant::now());
         }
-        let actions = sensor.settle(event);
-        drive(&mut board, actions);
+        let actions = sensor.settle(event, &board);
+        let now = sensor.started.elapsed();
+        board.drive(actions, now);
+        notify.status(&sensor.describe(actions));
+        if !ready {
+            notify.ready();
+            ready = true;
+        }
+        // The end of the line: a stage that hangs is never followed by these.
+        notify.alive();
+        board.feed(now);
         std::thread::sleep(next.saturating_duration_since(Instant::now()).min(TICK));
     }
     log::info!("stopping");
+    notify.stopping();
     sensor.outlet.stop();
-    Ok(())
+    if outcome.is_ok() {
+        board.stop();
+    }
+    outcome
 }
 
 /// Set by SIGTERM and SIGINT.
@@ -60,24 +85,13 @@ fn stop_flag() -> Result<Arc<AtomicBool>, Failure> {
     Ok(stop)
 }
 
-/// Drives the board's parts. A part that fails is said once in a while and never stops the
-/// measurement.
-fn drive<L, R, W, T>(board: &mut Board<L, R, W, T>, actions: Actions)
-where
-    L: Switch,
-    R: Switch,
-    W: Watchdog,
-    T: Thermometer,
-{
-    if let Err(error) = board.status_led.set(actions.led_on) {
-        log::debug!("status lamp: {error:?}");
-    }
-    if let Err(error) = board.camera_power.set(actions.camera_power_on) {
-        log::warn!("camera power: {error:?}");
-    }
-    if let Err(error) = board.watchdog.feed() {
-        log::error!("watchdog: {error:?}");
-    }
+/// Makes a panic of a stage a fault like its others.
+fn survive<T>(stage: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+    catch_unwind(AssertUnwindSafe(stage)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+        Err(Failure::Stage(text.unwrap_or("no message").to_owned()))
+    })
 }
 
 /// The running line with what is known about its health.
@@ -94,6 +108,10 @@ struct Sensor {
     metrics: Option<Metrics>,
     announcements: Vec<Announcement>,
     announced: Option<u64>,
+    interval: Duration,
+    pace: Pace,
+    stage_faults: Allowance,
+    board_broken: bool,
 }
 
 impl Sensor {
@@ -112,16 +130,61 @@ impl Sensor {
             metrics: config.metrics.file.as_deref().map(Metrics::new),
             announcements,
             announced: None,
+            interval: config.interval(),
+            pace: Pace::Full,
+            stage_faults: Allowance::default(),
+            board_broken: false,
         }
     }
 
-    /// One turn of the line: a picture, or the reason why there is none.
-    fn turn(&mut self) -> Event {
+    /// Time between two pictures at the pace of now.
+    fn interval(&self) -> Duration {
+        if self.pace == Pace::Half { self.interval * 2 } else { self.interval }
+    }
+
+    /// Takes over the pace that the enclosure's temperature allows.
+    fn set_pace(&mut self, pace: Pace) {
+        let before = std::mem::replace(&mut self.pace, pace);
+        if before == pace {
+            return;
+        }
+        log::warn!("the enclosure's temperature sets the pace: {}", pace_name(pace));
+        let interval = self.interval();
+        self.station.line.counting().windows().set_interval(interval);
+        if (before == Pace::Full) != (pace == Pace::Full) {
+            self.tell_alarm("overheated", pace != Pace::Full);
+        }
+        self.health_sent = None;
+    }
+
+    /// One turn of the line: a picture, or the reason why there is none; `None` where none
+    /// was asked for.
+    ///
+    /// # Errors
+    /// [`Failure::Stage`] when stages have panicked too often.
+    fn turn(&mut self) -> Result<Option<Event>, Failure> {
+        if self.pace == Pace::Stopped {
+            let suspended = SampleZoneStatus::DetectionAutoSuspended;
+            let closed = self.station.line.miss(clock::now(), suspended);
+            self.publish(&closed);
+            return Ok(None);
+        }
         let begun = Instant::now();
-        let outcome = self.station.turn();
+        let outcome = survive(|| self.station.turn());
         if let (Some(metrics), Ok(Some(_))) = (&mut self.metrics, &outcome) {
             metrics.note_turn(begun.elapsed());
         }
+        if let Err(fault @ Failure::Stage(_)) = &outcome {
+            log::error!("{fault}");
+            if !self.stage_faults.note(self.started.elapsed()) {
+                return outcome.map(|_| None);
+            }
+        }
+        Ok(Some(self.judge(outcome)))
+    }
+
+    /// Counts what came of a turn, and publishes the windows that it closed.
+    fn judge(&mut self, outcome: Result<Option<Closed>, Failure>) -> Event {
         let (event, status) = match outcome {
             Ok(Some(closed)) => {
                 self.last_fault = None;
@@ -159,15 +222,30 @@ impl Sensor {
     }
 
     /// Closes windows, judges health and publishes what has changed.
-    fn settle(&mut self, event: Option<Event>) -> Actions {
+    fn settle<L, R, W, T>(&mut self, event: Option<Event>, board: &Driven<L, R, W, T>) -> Actions
+    where
+        L: Switch,
+        R: Switch,
+        W: Watchdog,
+        T: Thermometer,
+    {
         let closed = self.station.line.counting().windows().advance(clock::now());
         self.publish(&closed);
         self.outlet.tend();
         let since_start = self.started.elapsed();
         let actions = match event {
+            _ if self.pace == Pace::Stopped => Actions {
+                status: SampleZoneStatus::DetectionAutoSuspended,
+                ..self.health.hold(since_start)
+            },
             Some(event) => self.health.on(event, since_start),
             None => self.health.idle(since_start),
         };
+        if self.board_broken != board.is_broken() {
+            self.board_broken = board.is_broken();
+            self.tell_alarm("board_fault", self.board_broken);
+            self.health_sent = None;
+        }
         let alarm_before = self.actions.and_then(|before| before.alarm);
         if alarm_before != actions.alarm {
             self.change_alarm(alarm_before, false);
@@ -178,7 +256,7 @@ impl Sensor {
         self.announce();
         if changed || self.health_sent.is_none_or(|sent| sent.elapsed() >= HEALTH_INTERVAL) {
             self.health_sent = Some(Instant::now());
-            self.publish_health(actions);
+            self.publish_health(actions, board);
         }
         actions
     }
@@ -211,17 +289,37 @@ impl Sensor {
         } else {
             log::info!("alarm {name} is over");
         }
+        self.tell_alarm(name, active);
+    }
+
+    fn tell_alarm(&self, name: &str, active: bool) {
         let time = clock::rfc3339(clock::now());
         self.outlet
             .publisher()
             .alarm(name, &payload::Alarm { site: &self.site, time, name, active });
     }
 
-    fn publish_health(&mut self, actions: Actions) {
+    /// The state in one line, for the service manager.
+    fn describe(&self, actions: Actions) -> String {
+        let status = status_name(actions.status);
+        match &self.last_fault {
+            Some(fault) => format!("{status}: {fault}"),
+            None => status.to_owned(),
+        }
+    }
+
+    fn publish_health<L, R, W, T>(&mut self, actions: Actions, board: &Driven<L, R, W, T>)
+    where
+        L: Switch,
+        R: Switch,
+        W: Watchdog,
+        T: Thermometer,
+    {
         let now: UtcMs = clock::now();
         let (delivered, refused) = self.outlet.publisher().counts();
         let spool = self.outlet.counts();
         let stream = self.station.source.counts();
+        let faults = board.faults();
         let health = payload::Health {
             site: &self.site,
             time: clock::rfc3339(now),
@@ -244,6 +342,18 @@ impl Sensor {
                 dropped: spool.dropped,
                 damaged: spool.damaged,
             },
+            board: payload::Board {
+                enclosure_c: board.enclosure_c(),
+                pace: pace_name(self.pace),
+                faults: payload::BoardFaults {
+                    status_led: faults.status_led,
+                    camera_power: faults.camera_power,
+                    watchdog: faults.watchdog,
+                    thermometer: faults.thermometer,
+                },
+                last_fault: board.last_fault(),
+            },
+            stage_faults: self.stage_faults.faults(),
             last_fault: self.last_fault.as_deref(),
         };
         self.outlet.publisher().health(&health);
@@ -269,4 +379,28 @@ fn announcements(config: &Config, station: &mut Station) -> Vec<Announcement> {
         lanes,
         &lengths,
     )
+}
+
+const fn pace_name(pace: Pace) -> &'static str {
+    match pace {
+        Pace::Full => "full",
+        Pace::Half => "half",
+        Pace::Stopped => "stopped",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_of_a_stage_is_a_fault_with_its_message() {
+        assert_eq!(survive(|| Ok(7)).expect("no fault"), 7);
+        let number = 9;
+        let fault = survive(|| -> Result<(), _> { panic!("index {number} of 8") });
+        let text = fault.expect_err("it panicked").to_string();
+        assert!(text.contains("index 9 of 8"), "{text}");
+        let fault = survive(|| -> Result<(), _> { Err(Failure::Internal("known".into())) });
+        assert!(matches!(fault, Err(Failure::Internal(_))));
+    }
 }

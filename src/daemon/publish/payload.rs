@@ -147,6 +147,10 @@ pub struct Health<'a> {
     pub stream: Stream,
     /// What became of the messages since start.
     pub messages: Messages,
+    /// The box around the camera.
+    pub board: Board<'a>,
+    /// Faults of the program that the line survived since start.
+    pub stage_faults: u64,
     /// The latest fault, for people.
     pub last_fault: Option<&'a str>,
 }
@@ -174,6 +178,32 @@ pub struct Stream {
     pub lost: u64,
     /// Times that the stream was given up and opened again.
     pub reopened: u64,
+}
+
+/// The box around the camera.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Board<'a> {
+    /// Temperature in the enclosure, degrees Celsius.
+    pub enclosure_c: Option<f32>,
+    /// How fast the line may run: `full`, `half` or `stopped` by heat.
+    pub pace: &'a str,
+    /// Failures since start.
+    pub faults: BoardFaults,
+    /// The latest failure while a part does not work, for people.
+    pub last_fault: Option<&'a str>,
+}
+
+/// Failures of a board's parts since start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct BoardFaults {
+    /// The status lamp.
+    pub status_led: u64,
+    /// The camera's relay.
+    pub camera_power: u64,
+    /// The hardware watchdog.
+    pub watchdog: u64,
+    /// The thermometer.
+    pub thermometer: u64,
 }
 
 /// What became of the messages since start.

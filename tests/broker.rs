@@ -83,6 +83,12 @@ fn health() -> payload::Health<'static> {
         alarm: None,
         uptime_s: 5,
         clock_synced: true,
+        camera: Some(payload::Camera {
+            aim: "in_place",
+            preset: "joint-01020304",
+            shift_px: Some([0.4, -1.2]),
+            light: Some("day"),
+        }),
         frames: payload::Frames::default(),
         messages: payload::Messages::default(),
         last_fault: None,

@@ -110,11 +110,15 @@ impl Sensor {
     fn turn(&mut self) -> Event {
         let outcome = self.station.turn();
         let (event, status) = match outcome {
-            Ok(Some(closed)) => {
+            Ok(Some(measured)) => {
                 self.last_fault = None;
-                self.frames.measured += 1;
-                self.publish(&closed);
-                return Event::Measured;
+                match measured.event {
+                    Event::Measured => self.frames.measured += 1,
+                    Event::Unchanged => self.frames.unchanged += 1,
+                    _ => self.frames.withheld += 1,
+                }
+                self.publish(&measured.closed);
+                return measured.event;
             }
             Ok(None) => {
                 self.frames.unchanged += 1;
@@ -147,7 +151,7 @@ impl Sensor {
 
     /// Closes windows, judges health and publishes what has changed.
     fn settle(&mut self, event: Option<Event>) -> Actions {
-        let closed = self.station.line.counting().windows().advance(clock::now());
+        let closed = self.station.line.advance(clock::now());
         self.publish(&closed);
         self.outlet.tend();
         let since_start = self.started.elapsed();
@@ -170,6 +174,7 @@ impl Sensor {
     }
 
     fn publish(&mut self, closed: &Closed) {
+        self.outlet.measured_with(self.station.line.reported());
         for report in closed {
             self.outlet.density(report, clock::is_synchronised());
         }
@@ -200,6 +205,7 @@ impl Sensor {
             alarm: actions.alarm.map(Alarm::name),
             uptime_s: self.started.elapsed().as_secs(),
             clock_synced: clock::is_synchronised(),
+            camera: self.station.line.scene().map(|scene| self.camera(scene)),
             frames: self.frames,
             messages: Messages {
                 delivered,
@@ -211,5 +217,15 @@ impl Sensor {
             },
             last_fault: self.last_fault.as_deref(),
         });
+    }
+
+    fn camera(&self, scene: &crate::daemon::Scene) -> payload::Camera<'_> {
+        let tenths = |px: f32| (px * 10.0).round() / 10.0;
+        payload::Camera {
+            aim: scene.aiming().name(),
+            preset: &self.station.line.counting().table().calibration_id,
+            shift_px: scene.shift().map(|shift| [tenths(shift.u), tenths(shift.v)]),
+            light: scene.latest().map(|look| if look.is_night() { "night" } else { "day" }),
+        }
     }
 }

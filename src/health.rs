@@ -1,10 +1,11 @@
 //! Whether the sensor can be believed: picture faults, alarms, and the camera's power.
 //!
 //! Owns the rules by which faults become a status. Reads no clock and drives no pin: it is
-//! told the time since start and returns what to do. Judging the picture itself (dark,
-//! blurred, moved) is not done here.
+//! told the time since start and returns what to do. Judging the picture itself is done in
+//! [`crate::picture`] and [`crate::scene`].
 
 use crate::density::SampleZoneStatus;
+use crate::picture::Flaw;
 use core::time::Duration;
 
 /// A frozen picture is noticed after this time, or after [`PERIODS`] of the camera where
@@ -35,6 +36,10 @@ pub enum Event {
     Damaged,
     /// No picture came.
     Missing,
+    /// A new picture came that was not measured, for the reason of this alarm.
+    Withheld(Alarm),
+    /// A new picture came that was not measured, and nothing is wrong yet.
+    PassedOver,
 }
 
 /// An alarm that is raised and cleared.
@@ -44,6 +49,14 @@ pub enum Alarm {
     NoPicture,
     /// The same picture for longer than the limit.
     FrozenPicture,
+    /// Black pictures, or of one colour, for longer than the limit.
+    BlankPicture,
+    /// Sun, headlights or fog for longer than the limit.
+    BlindedPicture,
+    /// Nothing sharp in the pictures for longer than the limit.
+    BlurredPicture,
+    /// The camera looks at none of its presets.
+    CameraMoved,
 }
 
 impl Alarm {
@@ -52,6 +65,35 @@ impl Alarm {
         match self {
             Self::NoPicture => "no_picture",
             Self::FrozenPicture => "frozen_picture",
+            Self::BlankPicture => "blank_picture",
+            Self::BlindedPicture => "blinded_picture",
+            Self::BlurredPicture => "blurred_picture",
+            Self::CameraMoved => "camera_moved",
+        }
+    }
+
+    /// How far a measurement can be used while it lasts.
+    pub const fn status(self) -> SampleZoneStatus {
+        match self {
+            Self::NoPicture | Self::BlankPicture => SampleZoneStatus::SensorFailure,
+            Self::FrozenPicture => SampleZoneStatus::InputDataIntegrity,
+            Self::BlindedPicture | Self::BlurredPicture => SampleZoneStatus::PoorContrast,
+            Self::CameraMoved => SampleZoneStatus::DetectionAutoSuspended,
+        }
+    }
+
+    /// Whether switching the camera off and on may help.
+    const fn is_of_camera(self) -> bool {
+        matches!(self, Self::NoPicture | Self::FrozenPicture | Self::BlankPicture)
+    }
+}
+
+impl From<Flaw> for Alarm {
+    fn from(flaw: Flaw) -> Self {
+        match flaw {
+            Flaw::Blank => Self::BlankPicture,
+            Flaw::Blinded => Self::BlindedPicture,
+            Flaw::Blurred => Self::BlurredPicture,
         }
     }
 }
@@ -76,6 +118,8 @@ pub struct Health {
     missing_limit: Duration,
     last_new: Duration,
     last_any: Duration,
+    /// Why pictures are withheld, and since when.
+    withheld: Option<(Alarm, Duration)>,
     next_cycle: Duration,
     cycle_wait: Duration,
     power_back: Option<Duration>,
@@ -90,6 +134,7 @@ impl Health {
             missing_limit: interval.saturating_mul(PERIODS).max(NOTICE_MISSING),
             last_new: now,
             last_any: now,
+            withheld: None,
             next_cycle: now.saturating_add(limit).saturating_add(POWER_CYCLE_FIRST),
             cycle_wait: POWER_CYCLE_FIRST,
             power_back: None,
@@ -111,7 +156,16 @@ impl Health {
     /// Takes what happened at `now` and returns what follows.
     pub fn on(&mut self, event: Event, now: Duration) -> Actions {
         match event {
-            Event::Measured => (self.last_new, self.last_any) = (now, now),
+            Event::Measured => {
+                (self.last_new, self.last_any) = (now, now);
+                self.withheld = None;
+            }
+            Event::PassedOver => (self.last_new, self.last_any) = (now, now),
+            Event::Withheld(alarm) => {
+                (self.last_new, self.last_any) = (now, now);
+                let since = self.withheld.filter(|&(before, _)| before == alarm);
+                self.withheld = since.or(Some((alarm, now)));
+            }
             Event::Unchanged | Event::Damaged => self.last_any = now,
             Event::Missing => {}
         }
@@ -120,13 +174,13 @@ impl Health {
         } else if now.saturating_sub(self.last_new) > self.limit {
             Some(Alarm::FrozenPicture)
         } else {
-            None
+            // That the camera has moved is said only after several pictures agree on it.
+            let lasting = |&(alarm, since): &(Alarm, Duration)| {
+                alarm == Alarm::CameraMoved || now.saturating_sub(since) > self.limit
+            };
+            self.withheld.filter(lasting).map(|(alarm, _)| alarm)
         };
-        let status = match alarm {
-            None => SampleZoneStatus::Ok,
-            Some(Alarm::NoPicture) => SampleZoneStatus::SensorFailure,
-            Some(Alarm::FrozenPicture) => SampleZoneStatus::InputDataIntegrity,
-        };
+        let status = alarm.map_or(SampleZoneStatus::Ok, Alarm::status);
         let camera_power_on = self.power(alarm, now);
         let led_on = alarm.is_none() || now.subsec_millis() < 500;
         Actions { status, alarm, led_on, camera_power_on }
@@ -139,7 +193,7 @@ impl Health {
             }
             self.power_back = None;
         }
-        if alarm.is_none() {
+        if alarm.is_none_or(|alarm| !alarm.is_of_camera()) {
             self.cycle_wait = POWER_CYCLE_FIRST;
             self.next_cycle =
                 self.last_new.saturating_add(self.limit).saturating_add(self.cycle_wait);
@@ -200,6 +254,24 @@ mod tests {
         }
         assert_eq!(health.on(Event::Missing, after(109)).alarm, None);
         assert_eq!(health.on(Event::Missing, after(110)).alarm, Some(Alarm::NoPicture));
+    }
+
+    #[test]
+    fn pictures_withheld_for_longer_than_the_limit_raise_the_alarm_of_their_reason() {
+        let blurred = Event::Withheld(Alarm::BlurredPicture);
+        let mut health = Health::new(after(10), after(0));
+        assert_eq!(health.on(blurred, after(10)).alarm, None);
+        assert_eq!(health.on(blurred, after(40)).alarm, None);
+        let noticed = health.on(blurred, after(50));
+        assert_eq!(noticed.alarm, Some(Alarm::BlurredPicture));
+        assert_eq!(noticed.status, SampleZoneStatus::PoorContrast);
+        assert_eq!(health.on(Event::Withheld(Alarm::BlindedPicture), after(60)).alarm, None);
+        assert_eq!(health.on(Event::PassedOver, after(70)).alarm, None);
+        let moved = health.on(Event::Withheld(Alarm::CameraMoved), after(80));
+        assert_eq!(moved.status, SampleZoneStatus::DetectionAutoSuspended, "said at once");
+        let long = health.on(Event::Withheld(Alarm::CameraMoved), after(9000));
+        assert!(long.camera_power_on, "the camera's power is not to blame");
+        assert_eq!(health.on(Event::Measured, after(9010)).alarm, None);
     }
 
     #[test]

@@ -158,6 +158,9 @@ fn what_is_published_stands_in_the_document() {
         clock_synced: true,
         frames: payload::Frames::default(),
         stream: payload::Stream::default(),
+        camera: None,
+        board: payload::Board { pace: "full", ..payload::Board::default() },
+        stage_faults: 0,
         messages: payload::Messages::default(),
         last_fault: None,
     });

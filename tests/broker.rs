@@ -86,6 +86,12 @@ fn health() -> payload::Health<'static> {
         alarm: None,
         uptime_s: 5,
         clock_synced: true,
+        camera: Some(payload::Camera {
+            aim: "in_place",
+            preset: "joint-01020304",
+            shift_px: Some([0.4, -1.2]),
+            light: Some("day"),
+        }),
         frames: payload::Frames::default(),
         stream: payload::Stream::default(),
         messages: payload::Messages::default(),

@@ -128,7 +128,7 @@ fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
     file("20260105T080020Z.jpg", b"");
     file("20260105T080030Z.jpg", b"<html>no picture</html>");
     file("20260105T080040Z.jpg", &jpeg(64, 64, 90));
-    file("20260105T080050Z.jpg", &whole);
+    file("20260105T080050Z.jpg", &jpeg(320, 240, 120));
     let output = verge(&[
         "replay",
         "--table",

@@ -98,6 +98,13 @@ pub struct Camera {
     pub user: Option<String>,
     /// File with the user's password.
     pub password_file: Option<PathBuf>,
+    /// Whether pictures are judged before they are measured.
+    #[serde(default = "default_watch")]
+    pub watch: bool,
+}
+
+const fn default_watch() -> bool {
+    true
 }
 
 /// Longest wait for a picture, s: watchdogs take a line that waits for one that hangs, and
@@ -133,6 +140,9 @@ pub const DEFAULT_MODEL: &str = "models/verge_nanodet_640x480.toml";
 pub struct LaneTable {
     /// A file made by `mvcalib table`.
     pub file: PathBuf,
+    /// The files of the camera's other presets.
+    #[serde(default)]
+    pub presets: Vec<PathBuf>,
 }
 
 /// Over what time density is taken.
@@ -300,6 +310,7 @@ impl Config {
         let absolute = |path: &mut PathBuf| *path = folder.join(&*path);
         absolute(&mut self.model.file);
         absolute(&mut self.lane_table.file);
+        self.lane_table.presets.iter_mut().for_each(absolute);
         // Where systemd gives a folder for state, it is meant for this.
         let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);
         self.spool.folder = state.join(&self.spool.folder);
@@ -352,6 +363,11 @@ impl Config {
             (0.0..=1.0).contains(&self.windows.min_completeness),
             "windows.min_completeness",
             format!("{}: give 0 to 1", self.windows.min_completeness),
+        )?;
+        known(
+            self.lane_table.presets.is_empty() || self.camera.watch,
+            "lane_table.presets",
+            "presets are told apart by their scene: leave camera.watch = true".to_owned(),
         )?;
         known(
             self.model.score.is_none_or(|score| (0.0..=1.0).contains(&score)),
@@ -500,6 +516,8 @@ mod tests {
             ("#timeout_s = 10.0", "timeout_s = 60", "camera.timeout_s"),
             ("site = \"k109f\"", "site = \"a/b\"", "site"),
             ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
+            ("#watch = true", "watch = \"yes\"", "watch"),
+            ("#presets = []", "presets = \"b.lut\"", "presets"),
             ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
             ("#format = \"json\"", "format = \"xml\"", "xml"),
             ("#ca_file =", "ca_file =", "mqtt.tls"),

@@ -82,6 +82,15 @@ pub enum LocateError {
         /// Camera of the configuration.
         expected: String,
     },
+    /// One of several presets without a reference of its scene.
+    #[error(
+        "lane table {} has no reference of the scene, so that several presets cannot be told \
+         apart: make it with `mvcalib table --reference FRAMES`", path.display()
+    )]
+    NoReference {
+        /// The file.
+        path: PathBuf,
+    },
     /// The picture has another shape than the table.
     #[error(
         "a picture of {picture} does not fit the lane table of camera {camera:?}, made for \
@@ -100,6 +109,7 @@ pub enum LocateError {
 /// A lane table ready for look-ups.
 #[derive(Debug)]
 pub struct Locator {
+    path: PathBuf,
     table: LaneTable<Vec<u8>>,
     anchor: Anchor,
 }
@@ -126,7 +136,22 @@ impl Locator {
                 expected: expected.to_owned(),
             });
         }
-        Ok(Self { table, anchor })
+        Ok(Self { path: path.to_owned(), table, anchor })
+    }
+
+    /// The reference of the static scene, where the table has one.
+    ///
+    /// # Errors
+    /// [`LocateError::Table`] for a wrong one, [`LocateError::NoReference`] where there is
+    /// none and one is `needed`.
+    pub fn scene(&self, needed: bool) -> Result<Option<Reference>, LocateError> {
+        let path = || self.path.clone();
+        let scene = self.table.scene();
+        let scene = scene.map_err(|source| LocateError::Table { path: path(), source })?;
+        if needed && scene.is_none() {
+            return Err(LocateError::NoReference { path: path() });
+        }
+        Ok(scene)
     }
 
     /// What the table says about itself.
@@ -162,15 +187,23 @@ impl Locator {
         self.table.place(point)
     }
 
-    /// Puts the vehicles of a picture into their lanes; those outside are left out.
-    pub fn locate(&self, detections: &[Detection], picture: ImageSize, located: &mut Vec<Located>) {
+    /// Puts the vehicles of a picture into their lanes; those outside are left out. The scene
+    /// stands `shift` (px of the picture) to the right of and below its place in the table.
+    pub fn locate(
+        &self,
+        detections: &[Detection],
+        picture: ImageSize,
+        shift: ImagePoint,
+        located: &mut Vec<Located>,
+    ) {
         located.clear();
         let table = self.description().image_size;
         let scale_u = f32::from(table.width) / f32::from(picture.width);
         let scale_v = f32::from(table.height) / f32::from(picture.height);
         for detection in detections {
             let Some(point) = self.anchor.of(&detection.bounds, picture) else { continue };
-            let point = ImagePoint { u: point.u * scale_u, v: point.v * scale_v };
+            let point =
+                ImagePoint { u: (point.u - shift.u) * scale_u, v: (point.v - shift.v) * scale_v };
             if let Some(place) = self.table.place(point) {
                 located.push(Located { place, class: detection.class });
             }

@@ -208,7 +208,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::publish::payload::{Frames, Messages, Stream};
+    use crate::daemon::publish::payload::{Board, Frames, Messages, Stream};
     use crate::units::{LaneId, UtcMs};
     use std::collections::{BTreeSet, HashMap};
 
@@ -242,8 +242,11 @@ mod tests {
             alarm: Some("no_picture"),
             uptime_s: 75,
             clock_synced: true,
-            frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3 },
+            frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3, withheld: 0 },
             stream: Stream::default(),
+            camera: None,
+            board: Board::default(),
+            stage_faults: 0,
             messages: Messages { delivered: 4, waiting: 5, dropped: 6, ..Messages::default() },
             last_fault: None,
         }

@@ -1,8 +1,8 @@
 //! The daemon: one straight line from camera to broker.
 //!
 //! ```text
-//! camera -> capture -> detect -> locate -> aggregate -> publish -> broker
-//!            Frame     Detection  Located   WindowReport  bytes
+//! camera -> capture -> scene -> detect -> locate -> aggregate -> publish -> broker
+//!            Frame      View   Detection  Located   WindowReport  bytes
 //! ```
 //!
 //! Owns the order of the stages: this is the only file that names two of them. Each stage
@@ -16,6 +16,7 @@ mod cli;
 mod clock;
 mod commands;
 pub mod config;
+mod counting;
 pub mod detect;
 pub mod exit;
 pub mod export;
@@ -26,22 +27,28 @@ mod notify;
 mod output;
 mod playback;
 pub mod publish;
+pub mod scene;
 pub mod spool;
 
-use crate::density::{Aggregator, Closed, FrameCounts, SampleZoneStatus, Start, WindowReport};
+pub use counting::Counting;
+
+use crate::density::{Closed, SampleZoneStatus, Start, WindowReport};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
-use crate::lane::{Description, Place};
-use crate::units::{ImagePoint, UtcMs};
+use crate::health::Event;
+use crate::lane::Description;
+use crate::units::UtcMs;
 use capture::{
     Captured, Credentials, DEFAULT_SIZE, DeviceSettings, MJPEG_SCHEME, Mjpeg, MjpegSettings,
     Recorded, Snapshot, SnapshotSettings, Source,
 };
 use config::{Config, SourceKind};
+use counting::Presets;
 use detect::Detector;
 use exit::Failure;
 use flow::{Detection, Frame};
-use locate::{Anchor, LocateError, Located, Locator};
+use locate::Anchor;
 use publish::{Delivery, Format, Identity, MqttSettings, Publisher, Tls};
+use scene::{Scene, View};
 use spool::{Spool, SpoolCounts};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -69,6 +76,11 @@ where
 pub struct LineSettings {
     /// The lane table.
     pub table: PathBuf,
+    /// The tables of the camera's other presets.
+    pub presets: Vec<PathBuf>,
+    /// Whether pictures are judged before they are measured: blank, blurred, unchanged, and
+    /// whether the camera has moved.
+    pub watch: bool,
     /// The camera that it must belong to; `None`: whichever it belongs to.
     pub camera: Option<String>,
     /// Sidecar or model.
@@ -90,6 +102,8 @@ impl LineSettings {
     pub fn recorded(table: &Path, model: &Path, window: Duration) -> Self {
         Self {
             table: table.to_owned(),
+            presets: Vec::new(),
+            watch: true,
             camera: None,
             model: model.to_owned(),
             score: None,
@@ -101,71 +115,13 @@ impl LineSettings {
     }
 }
 
-/// Locate and aggregate: from detections to density.
-#[derive(Debug)]
-pub struct Counting {
-    locator: Locator,
-    aggregator: Aggregator,
-    located: Vec<Located>,
-}
-
-impl Counting {
-    /// Loads the table of `settings` for a camera with this time between frames.
-    ///
-    /// # Errors
-    /// [`Failure::Locate`] and [`Failure::Aggregate`].
-    pub fn open(settings: &LineSettings, interval: Duration) -> Result<Self, Failure> {
-        let locator = Locator::load(&settings.table, settings.camera.as_deref(), settings.anchor)?;
-        let aggregator = Aggregator::new(
-            &locator.description().lanes,
-            &settings.windows,
-            interval,
-            settings.min_completeness,
-            settings.start,
-        )?;
-        Ok(Self { locator, aggregator, located: Vec::new() })
-    }
-
-    /// Counts the vehicles of one picture and returns the windows that it closes.
-    ///
-    /// # Errors
-    /// [`LocateError::Shape`] for a picture that does not belong to the table.
-    pub fn count(
-        &mut self,
-        detections: &[Detection],
-        (width, height): (usize, usize),
-        time: UtcMs,
-    ) -> Result<Closed, LocateError> {
-        let size = self.locator.check_size(width, height)?;
-        self.locator.locate(detections, size, &mut self.located);
-        let mut counts = FrameCounts::default();
-        for vehicle in &self.located {
-            counts.add(vehicle.place.lane, vehicle.class);
-        }
-        Ok(self.aggregator.observe(time, &counts))
-    }
-
-    /// What the lane table says about itself.
-    pub fn table(&self) -> &Description {
-        self.locator.description()
-    }
-
-    /// Where a point of the table's picture lies on the road.
-    pub fn place(&self, point: ImagePoint) -> Option<Place> {
-        self.locator.place(point)
-    }
-
-    /// The windows, for time without pictures and the end of a recording.
-    pub fn windows(&mut self) -> &mut Aggregator {
-        &mut self.aggregator
-    }
-}
-
 /// What the stages took for one frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StageTimes {
     /// Reading and decoding the picture.
     pub capture: Duration,
+    /// Judging the picture and finding the scene in it.
+    pub scene: Duration,
     /// The picture into the net's input.
     pub prepare: Duration,
     /// The net.
@@ -176,39 +132,75 @@ pub struct StageTimes {
     pub count: Duration,
 }
 
+/// What became of a frame.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// What it was: measured, unchanged, or not fit to be measured.
+    pub event: Event,
+    /// The windows that it closes.
+    pub closed: Closed,
+}
+
 /// The line without its ends: from a frame to density.
 #[derive(Debug)]
 pub struct Line {
     detector: Detector,
-    counting: Counting,
+    scene: Option<Scene>,
+    presets: Presets,
     found: Vec<Detection>,
 }
 
 impl Line {
-    /// Loads model and table.
+    /// Loads model and tables.
     ///
     /// # Errors
     /// [`Failure`] names the file that is missing or wrong.
     pub fn open(settings: &LineSettings, interval: Duration) -> Result<Self, Failure> {
-        let counting = Counting::open(settings, interval)?;
+        let presets = Presets::open(settings, interval)?;
+        let references = presets.references()?;
+        let scene = settings.watch.then(|| Scene::new(references));
         let detector = Detector::load(&settings.model, settings.score)?;
-        Ok(Self { detector, counting, found: Vec::new() })
+        Ok(Self { detector, scene, presets, found: Vec::new() })
     }
 
-    /// Measures one frame and returns the windows that it closes.
+    /// Measures one frame.
     ///
     /// # Errors
     /// [`Failure::Detect`] and [`Failure::Locate`]; the frame then counts as missed.
-    pub fn measure(&mut self, frame: &Frame) -> Result<Closed, Failure> {
-        let picture = &frame.picture;
-        let size = (picture.width, picture.height);
-        // A wrong picture is refused before it costs an inference.
-        self.counting.locator.check_size(size.0, size.1)?;
-        self.detector.detect(picture, &mut self.found)?;
-        Ok(self.counting.count(&self.found, size, frame.time)?)
+    pub fn measure(&mut self, frame: &Frame) -> Result<Measured, Failure> {
+        self.found.clear();
+        let (preset, shift) = match self.look(frame)? {
+            View::Fit { preset, shift } => (preset, shift),
+            View::Unchanged => {
+                let closed = self.miss(frame.time, SampleZoneStatus::InputDataIntegrity);
+                return Ok(Measured { event: Event::Unchanged, closed });
+            }
+            View::PassedOver => {
+                let closed = self.miss(frame.time, SampleZoneStatus::DetectionAutoSuspended);
+                return Ok(Measured { event: Event::PassedOver, closed });
+            }
+            View::Withheld(alarm) => {
+                let closed = self.miss(frame.time, alarm.status());
+                return Ok(Measured { event: Event::Withheld(alarm), closed });
+            }
+        };
+        self.detector.detect(&frame.picture, &mut self.found)?;
+        let size = (frame.picture.width, frame.picture.height);
+        let closed = self.presets.count(preset, &self.found, size, shift, frame.time)?;
+        Ok(Measured { event: Event::Measured, closed })
     }
 
-    /// Measures one frame and tells what each stage took.
+    /// Judges a frame. A wrong picture is refused before it costs anything.
+    fn look(&mut self, frame: &Frame) -> Result<View, Failure> {
+        self.presets.check_size((frame.picture.width, frame.picture.height))?;
+        Ok(match &mut self.scene {
+            Some(scene) => scene.judge(&frame.picture, frame.time),
+            None => View::UNJUDGED,
+        })
+    }
+
+    /// Measures one frame and tells what each stage took. A frame that would be withheld is
+    /// measured all the same.
     ///
     /// # Errors
     /// As [`Self::measure`].
@@ -220,6 +212,11 @@ impl Line {
             let now = Instant::now();
             now - std::mem::replace(&mut clock, now)
         };
+        let (preset, shift) = match self.look(frame)? {
+            View::Fit { preset, shift } => (preset, shift),
+            _ => View::NOWHERE,
+        };
+        let scene = lap();
         self.detector.prepare(picture);
         let prepare = lap();
         let output = self.detector.infer()?;
@@ -227,13 +224,38 @@ impl Line {
         self.found.clear();
         self.detector.read(picture, &output, &mut self.found)?;
         let read = lap();
-        self.counting.count(&self.found, size, frame.time)?;
-        Ok(StageTimes { capture: Duration::ZERO, prepare, infer, read, count: lap() })
+        self.presets.count(preset, &self.found, size, shift, frame.time)?;
+        Ok(StageTimes { capture: Duration::ZERO, scene, prepare, infer, read, count: lap() })
     }
 
     /// Notes that at `time` there was no usable frame, and why.
     pub fn miss(&mut self, time: UtcMs, status: SampleZoneStatus) -> Closed {
-        self.counting.aggregator.miss(time, status)
+        self.presets.miss(time, status)
+    }
+
+    /// From now on pictures come in this interval.
+    pub fn set_interval(&mut self, interval: Duration) {
+        self.presets.set_interval(interval);
+    }
+
+    /// Closes the windows that have ended at `time`.
+    pub fn advance(&mut self, time: UtcMs) -> Closed {
+        self.presets.advance(time)
+    }
+
+    /// Closes what runs, at the end of a recording.
+    pub fn finish(&mut self) -> Closed {
+        self.presets.finish()
+    }
+
+    /// The table to which the windows belong that the latest call closed.
+    pub fn reported(&self) -> &Description {
+        self.presets.reported()
+    }
+
+    /// What judges the pictures, unless that is switched off.
+    pub fn scene(&self) -> Option<&Scene> {
+        self.scene.as_ref()
     }
 
     /// What was found in the latest frame.
@@ -243,12 +265,12 @@ impl Line {
 
     /// How many vehicles the latest frame shows, and how many of them in the lanes.
     pub fn latest(&self) -> (usize, usize) {
-        (self.found.len(), self.counting.located.len())
+        (self.found.len(), self.presets.active().located())
     }
 
     /// Model and table in a few words.
     pub fn describe(&self) -> (String, String) {
-        let (model, table) = (self.detector.sidecar(), self.counting.table());
+        let (model, table) = (self.detector.sidecar(), self.counting().table());
         let (id, lanes) = (&table.camera_id, table.lanes.len());
         let error = table
             .length_rel_err
@@ -259,14 +281,14 @@ impl Line {
         )
     }
 
-    /// The part behind detection.
-    pub fn counting(&mut self) -> &mut Counting {
-        &mut self.counting
+    /// The part behind detection, at the preset where the camera looks.
+    pub fn counting(&self) -> &Counting {
+        self.presets.active()
     }
 
     /// Who measures, for messages from `site`.
     pub fn identity(&self, site: &str) -> Identity {
-        Identity::new(site, self.counting.table(), self.detector.model())
+        Identity::new(site, self.counting().table(), self.detector.model())
     }
 }
 
@@ -306,9 +328,8 @@ impl Station {
         Ok(Self { source, frame: Frame::default(), line })
     }
 
-    /// Takes a picture and measures it: the windows that it closes, or `None` when the
-    /// picture is the one before.
-    fn turn(&mut self) -> Result<Option<Closed>, Failure> {
+    /// Takes a picture and measures it; `None` when it has the bytes of the one before.
+    fn turn(&mut self) -> Result<Option<Measured>, Failure> {
         match self.source.next(&mut self.frame)? {
             Captured::New => self.line.measure(&self.frame).map(Some),
             Captured::Unchanged | Captured::End => Ok(None),
@@ -351,7 +372,7 @@ fn open_camera(config: &Config, line: Option<&Line>) -> Result<Source, Failure> 
             Ok(Source::Recorded(recorded.for_ever()))
         }
         SourceKind::Device => {
-            let size = line.map(|line| line.counting.table().image_size);
+            let size = line.map(|line| line.counting().table().image_size);
             let size =
                 size.map_or(DEFAULT_SIZE, |size| (u32::from(size.width), u32::from(size.height)));
             Ok(Source::device(DeviceSettings { path: source.into(), size, interval, timeout })?)
@@ -373,6 +394,8 @@ fn open_camera(config: &Config, line: Option<&Line>) -> Result<Source, Failure> 
 fn open_line(config: &Config) -> Result<Line, Failure> {
     let settings = LineSettings {
         table: config.lane_table.file.clone(),
+        presets: config.lane_table.presets.clone(),
+        watch: config.camera.watch,
         camera: Some(config.camera.id.clone()),
         model: config.model.file.clone(),
         score: config.model.score,
@@ -419,6 +442,11 @@ impl Outlet {
     /// The same without a disk: what has not arrived ends with the program.
     pub fn in_memory(broker: MqttSettings, format: Format, identity: Identity) -> Self {
         Self::start(broker, format, identity, Spool::in_memory())
+    }
+
+    /// The windows that follow were measured with this table.
+    pub fn measured_with(&mut self, table: &Description) {
+        self.identity.measured_with(table);
     }
 
     /// Takes a window. It outlives the program from here on, unless the disk refuses it.

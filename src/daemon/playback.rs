@@ -8,6 +8,8 @@ use super::exit::Failure;
 use super::flow::{Detection, Frame};
 use super::{Detector, Line};
 use crate::density::{Closed, SampleZoneStatus};
+use crate::health::Event;
+use crate::lane::Description;
 
 /// Plays a recording through a line: each frame that was measured, and the windows as
 /// they close. Frames that cannot be measured are said and count as missed.
@@ -15,26 +17,27 @@ pub(super) fn play(
     recorded: Recorded,
     line: &mut Line,
     mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
-    mut on_windows: impl FnMut(&Closed) -> Result<(), Failure>,
+    mut on_windows: impl FnMut(&Closed, &Description) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let mut player = Player::new(recorded);
     while let Some(captured) = player.next() {
         let outcome = captured.and_then(|()| line.measure(&player.frame));
         let closed = match outcome {
-            Ok(closed) => {
-                player.measured += 1;
+            Ok(measured) => {
+                player.judged(measured.event);
                 on_frame(&player.frame, line.found())?;
-                closed
+                measured.closed
             }
             Err(fault) => {
                 player.note(&fault);
                 line.miss(player.frame.time, SampleZoneStatus::InputDataIntegrity)
             }
         };
-        on_windows(&closed)?;
+        on_windows(&closed, line.reported())?;
     }
     player.finish()?;
-    on_windows(&line.counting().windows().finish())
+    let closed = line.finish();
+    on_windows(&closed, line.reported())
 }
 
 /// Searches a recording for vehicles. Frames that cannot be searched are said.
@@ -66,13 +69,22 @@ struct Player {
     frames: usize,
     measured: usize,
     first_fault: Option<String>,
+    /// What the latest frame was.
+    event: Event,
 }
 
 impl Player {
     fn new(recorded: Recorded) -> Self {
         let frames = recorded.frames();
         let source = Source::Recorded(recorded);
-        Self { source, frame: Frame::default(), frames, measured: 0, first_fault: None }
+        Self {
+            source,
+            frame: Frame::default(),
+            frames,
+            measured: 0,
+            first_fault: None,
+            event: Event::Measured,
+        }
     }
 
     /// Fills `frame` with the next picture; `None` at the end.
@@ -82,6 +94,21 @@ impl Player {
             Ok(Captured::New | Captured::Unchanged) => Some(Ok(())),
             Err(fault) => Some(Err(fault.into())),
         }
+    }
+
+    /// Says what a frame was when that changes.
+    fn judged(&mut self, event: Event) {
+        self.measured += 1;
+        let name = &self.frame.name;
+        if event != self.event {
+            match event {
+                Event::Withheld(alarm) => log::warn!("from frame {name} on: {}", alarm.name()),
+                Event::Unchanged => log::warn!("frame {name} shows nothing new"),
+                Event::PassedOver => log::warn!("frame {name} is displaced"),
+                _ => log::info!("from frame {name} on all is well"),
+            }
+        }
+        self.event = event;
     }
 
     fn note(&mut self, fault: &Failure) {

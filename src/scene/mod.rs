@@ -6,11 +6,13 @@
 //! use it: `mvcalib table` makes the reference, the sensor compares each picture with it.
 
 mod field;
+mod guard;
 mod reference;
 mod search;
 mod watch;
 
 pub use field::{Cell, Field, Grid, MAX_SIDE};
+pub use guard::Guard;
 pub use reference::{
     BLOCKS, FINE_POINTS, LEAST_POINTS, MAX_REFERENCE, Point, Reference, ReferenceError,
 };

@@ -7,7 +7,7 @@ use nalgebra::{Rotation3, Vector3};
 
 use crate::camera::Camera;
 use crate::random;
-use crate::scene::Scene;
+use crate::scene::{Ptz, Scene};
 
 /// Frequency of a lamp pole's sway in wind, Hz.
 const SWAY_HZ: f64 = 1.3;
@@ -40,10 +40,12 @@ impl View {
     pub fn at(scene: &Scene, seed: u64, time_s: f64) -> Self {
         let faults = &scene.faults;
         let mut aim = scene.camera();
-        if let Some(ptz) = faults.ptz.filter(|ptz| time_s >= ptz.at_s) {
+        let away = |ptz: &Ptz| time_s >= ptz.at_s && ptz.until_s.is_none_or(|until| time_s < until);
+        if let Some(ptz) = faults.ptz.filter(away) {
             let mut moved = scene.clone();
             moved.camera.pan_deg += ptz.pan_deg;
             moved.camera.tilt_deg += ptz.tilt_deg;
+            moved.camera.roll_deg += ptz.roll_deg;
             moved.camera.focal_px *= ptz.zoom;
             aim = moved.camera();
         }

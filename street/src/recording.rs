@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use crate::faults::{Picture, View};
 use crate::measured::labelme;
 use crate::render::{Image, Renderer};
-use crate::scene::Scene;
+use crate::scene::{Light, Scene};
 use crate::simulation::{Simulation, Snapshot};
 use crate::truth::{self, FrameTruth, VehicleTruth};
 
@@ -56,6 +56,12 @@ impl Recorder {
     /// The street as it is at the last frame.
     pub fn street(&self) -> &Simulation {
         &self.street
+    }
+
+    /// Changes light and weather from the next frame on: a day in steps.
+    pub fn set_light(&mut self, light: Light) {
+        self.street.set_light(light);
+        self.renderer = Renderer::new(&self.street, self.seed);
     }
 
     /// The next frame's truth alone: for long runs that need no pictures.

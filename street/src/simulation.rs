@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::measured::{MeasuredLane, measured_lanes};
 use crate::random::Stream;
 use crate::road::{Direction, LaneLine, Road};
-use crate::scene::Scene;
+use crate::scene::{Light, Scene};
 use crate::traffic::{Fleet, LaneTraffic, Vehicle};
 use crate::vehicle::paint::Livery;
 use crate::vehicle::{MODELS, Model};
@@ -130,6 +130,11 @@ impl Simulation {
             }
         }
         self.time_s = from_s + dt_s;
+    }
+
+    /// Changes light and weather; traffic does not mind.
+    pub(crate) fn set_light(&mut self, light: Light) {
+        self.scene.light = light;
     }
 
     /// The scene it was made from.

@@ -43,7 +43,7 @@ pub fn run() -> Result<(), Failure> {
         recorded,
         &mut line,
         |_, _| Ok(()),
-        |closed| {
+        |closed, _| {
             closed.iter().for_each(|report| outlet.density(report, false));
             outlet.tend();
             Ok(())

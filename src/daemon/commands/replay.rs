@@ -14,14 +14,17 @@ use std::time::Duration;
 /// Its arguments.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Lane table
-    #[arg(long, value_name = "FILE")]
-    table: PathBuf,
+    /// Lane table; given several times, one for each preset of the camera
+    #[arg(long, value_name = "FILE", required = true)]
+    table: Vec<PathBuf>,
     /// Folder of JPEG or PNG frames, played in the order of their names
     #[arg(long, value_name = "DIR")]
     frames: PathBuf,
     #[command(flatten)]
     model: ModelArgs,
+    /// Measure every frame: blurred, unchanged, displaced or of another scene
+    #[arg(long)]
+    unwatched: bool,
     /// One JSON object per window instead of one line per lane
     #[arg(long)]
     json: bool,
@@ -40,10 +43,13 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<(), Failure> {
+    let (table, presets) = args.table.split_first().expect("clap requires one");
     let settings = LineSettings {
+        presets: presets.to_vec(),
+        watch: !args.unwatched,
         score: args.model.score,
         anchor: args.anchor,
-        ..LineSettings::recorded(&args.table, &args.model.model, Duration::from_secs(args.window))
+        ..LineSettings::recorded(table, &args.model.model, Duration::from_secs(args.window))
     };
     let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
     let (recorded, mut line) = open_recording(&settings, &args.frames, interval)?;
@@ -56,7 +62,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let clock_synced = recorded.tells_time();
     let site = line.counting().table().camera_id.clone();
-    let identity = line.identity(&site);
+    let mut identity = line.identity(&site);
     let mut seq = 0;
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
     let mut heading = (!args.json).then_some(text::LANE_HEADING);
@@ -67,7 +73,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             Some(file) => file.line(&text::boxes(frame, found)),
             None => Ok(()),
         },
-        |closed| {
+        |closed, table| {
+            identity.measured_with(table);
             for report in closed {
                 if args.json {
                     seq += 1;

@@ -8,7 +8,7 @@ use crate::daemon::metrics::Metrics;
 use crate::daemon::notify::Notify;
 use crate::daemon::publish::home_assistant::{self, Announcement};
 use crate::daemon::publish::payload::{self, Frames, Messages, Stream, status_name};
-use crate::daemon::{Outlet, Station, open_outlet};
+use crate::daemon::{Line, Measured, Outlet, Scene, Station, open_outlet};
 use crate::density::{Closed, SampleZoneStatus};
 use crate::derate::Pace;
 use crate::fault::Allowance;
@@ -150,7 +150,7 @@ impl Sensor {
         }
         log::warn!("the enclosure's temperature sets the pace: {}", pace_name(pace));
         let interval = self.interval();
-        self.station.line.counting().windows().set_interval(interval);
+        self.station.line.set_interval(interval);
         if (before == Pace::Full) != (pace == Pace::Full) {
             self.tell_alarm("overheated", pace != Pace::Full);
         }
@@ -184,13 +184,17 @@ impl Sensor {
     }
 
     /// Counts what came of a turn, and publishes the windows that it closed.
-    fn judge(&mut self, outcome: Result<Option<Closed>, Failure>) -> Event {
+    fn judge(&mut self, outcome: Result<Option<Measured>, Failure>) -> Event {
         let (event, status) = match outcome {
-            Ok(Some(closed)) => {
+            Ok(Some(measured)) => {
                 self.last_fault = None;
-                self.frames.measured += 1;
-                self.publish(&closed);
-                return Event::Measured;
+                match measured.event {
+                    Event::Measured => self.frames.measured += 1,
+                    Event::Unchanged => self.frames.unchanged += 1,
+                    _ => self.frames.withheld += 1,
+                }
+                self.publish(&measured.closed);
+                return measured.event;
             }
             Ok(None) => {
                 self.frames.unchanged += 1;
@@ -229,7 +233,7 @@ impl Sensor {
         W: Watchdog,
         T: Thermometer,
     {
-        let closed = self.station.line.counting().windows().advance(clock::now());
+        let closed = self.station.line.advance(clock::now());
         self.publish(&closed);
         self.outlet.tend();
         let since_start = self.started.elapsed();
@@ -262,6 +266,7 @@ impl Sensor {
     }
 
     fn publish(&mut self, closed: &Closed) {
+        self.outlet.measured_with(self.station.line.reported());
         for report in closed {
             self.outlet.density(report, clock::is_synchronised());
             if let Some(metrics) = &mut self.metrics {
@@ -320,6 +325,7 @@ impl Sensor {
         let spool = self.outlet.counts();
         let stream = self.station.source.counts();
         let faults = board.faults();
+        let line = &self.station.line;
         let health = payload::Health {
             site: &self.site,
             time: clock::rfc3339(now),
@@ -328,6 +334,7 @@ impl Sensor {
             alarm: actions.alarm.map(Alarm::name),
             uptime_s: self.started.elapsed().as_secs(),
             clock_synced: clock::is_synchronised(),
+            camera: line.scene().map(|scene| Self::camera(line, scene)),
             frames: self.frames,
             stream: Stream {
                 flagged: stream.flagged,
@@ -359,6 +366,16 @@ impl Sensor {
         self.outlet.publisher().health(&health);
         if let Some(metrics) = &mut self.metrics {
             metrics.write(&health, self.outlet.is_open());
+        }
+    }
+
+    fn camera<'l>(line: &'l Line, scene: &Scene) -> payload::Camera<'l> {
+        let tenths = |px: f32| (px * 10.0).round() / 10.0;
+        payload::Camera {
+            aim: scene.aiming().name(),
+            preset: &line.counting().table().calibration_id,
+            shift_px: scene.shift().map(|shift| [tenths(shift.u), tenths(shift.v)]),
+            light: scene.latest().map(|look| if look.is_night() { "night" } else { "day" }),
         }
     }
 }

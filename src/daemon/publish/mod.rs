@@ -52,14 +52,16 @@ pub struct Identity {
 impl Identity {
     /// The identity of a site that measures with this table and model.
     pub fn new(site: &str, table: &Description, model: &ModelRef) -> Self {
-        Self {
-            site: short_name(site),
-            calibration: CalibrationRef {
-                id: table.calibration_id.clone(),
-                sha256: table.calibration_sha256,
-                rel_err: table.length_rel_err,
-            },
-            model: model.clone(),
+        let (site, calibration) = (short_name(site), calibration(table));
+        Self { site, calibration, model: model.clone() }
+    }
+
+    /// From here on it measures with another table.
+    pub fn measured_with(&mut self, table: &Description) {
+        if self.calibration.id != table.calibration_id
+            || self.calibration.sha256 != table.calibration_sha256
+        {
+            self.calibration = calibration(table);
         }
     }
 
@@ -73,6 +75,14 @@ impl Identity {
             calibration: self.calibration.clone(),
             model: self.model.clone(),
         }
+    }
+}
+
+fn calibration(table: &Description) -> CalibrationRef {
+    CalibrationRef {
+        id: table.calibration_id.clone(),
+        sha256: table.calibration_sha256,
+        rel_err: table.length_rel_err,
     }
 }
 

@@ -141,6 +141,8 @@ pub struct Health<'a> {
     pub uptime_s: u64,
     /// Whether the clock is set from a time source.
     pub clock_synced: bool,
+    /// Where the camera looks; null where pictures are not judged.
+    pub camera: Option<Camera<'a>>,
     /// What became of the pictures since start.
     pub frames: Frames,
     /// What became of the frames of the camera's stream since start.
@@ -166,6 +168,21 @@ pub struct Frames {
     pub damaged: u64,
     /// Did not come.
     pub missing: u64,
+    /// Came, but were not fit to be measured: blank, blinded, blurred, displaced.
+    pub withheld: u64,
+}
+
+/// Where the camera looks, and in what light.
+#[derive(Clone, Debug, Serialize)]
+pub struct Camera<'a> {
+    /// `in_place`, `moved`, `unverified` (not seen yet) or `unchecked` (no reference).
+    pub aim: &'a str,
+    /// Name of the calibration in use, which tells the preset.
+    pub preset: &'a str,
+    /// Shift of the latest picture against the calibration, px; null where not measured.
+    pub shift_px: Option<[f32; 2]>,
+    /// `day` or `night` by the latest picture's mean level; null before the first.
+    pub light: Option<&'a str>,
 }
 
 /// What became of a stream's frames since start, beside those that are pictures; all 0

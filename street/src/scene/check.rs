@@ -197,6 +197,8 @@ impl Scene {
             c.within("faults.ptz.at_s", ptz.at_s, 0.0, 1e7)?;
             c.within("faults.ptz.pan_deg", ptz.pan_deg, -90.0, 90.0)?;
             c.within("faults.ptz.tilt_deg", ptz.tilt_deg, -60.0, 60.0)?;
+            c.within("faults.ptz.roll_deg", ptz.roll_deg, -45.0, 45.0)?;
+            c.within("faults.ptz.until_s", ptz.until_s.unwrap_or(ptz.at_s), ptz.at_s, 1e7)?;
             c.within("faults.ptz.zoom", ptz.zoom, 0.2, 5.0)?;
         }
         Ok(())

@@ -248,7 +248,7 @@ pub struct Faults {
     pub until_s: Option<f64>,
 }
 
-/// A move of the camera to another view, for good.
+/// A move of the camera to another view, for good or for a while.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ptz {
@@ -260,6 +260,11 @@ pub struct Ptz {
     /// Change of tilt, degrees downwards.
     #[serde(default)]
     pub tilt_deg: f64,
+    /// Change of roll, degrees clockwise.
+    #[serde(default)]
+    pub roll_deg: f64,
+    /// The camera is back from here on; absent means never.
+    pub until_s: Option<f64>,
     /// Factor on the focal length.
     #[serde(default = "default_zoom")]
     pub zoom: f64,

@@ -1,0 +1,208 @@
+//! Look: the stage between capture and detect. Is the picture fit to be measured, and does
+//! the camera look where it was calibrated?
+//!
+//! Owns the buffers and the order of the questions; the answers are the core's
+//! ([`crate::picture`], [`crate::scene`]). After the first picture nothing is allocated.
+
+use super::flow::Picture;
+use crate::health::Alarm;
+use crate::picture::{Before, Look};
+use crate::scene::{Aim, Cell, Eye, Grid, Guard, Judgement, Reference};
+use crate::units::{ImagePoint, UtcMs};
+use std::time::Duration;
+
+/// What follows for a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum View {
+    /// It is measured with the table of this preset, shifted by so many of its pixels.
+    Fit {
+        /// Number of the preset.
+        preset: usize,
+        /// Shift of the scene against the table, px of the picture.
+        shift: ImagePoint,
+    },
+    /// It shows nothing new but a clock.
+    Unchanged,
+    /// It is not measured, for this reason.
+    Withheld(Alarm),
+    /// It is not measured: the scene stands elsewhere in this one, which is no move yet.
+    PassedOver,
+}
+
+impl View {
+    /// The first preset, not shifted.
+    pub const NOWHERE: (usize, ImagePoint) = (0, ImagePoint { u: 0.0, v: 0.0 });
+    /// A picture that nobody judges.
+    pub const UNJUDGED: Self = Self::Fit { preset: Self::NOWHERE.0, shift: Self::NOWHERE.1 };
+}
+
+/// What is known of the camera's aim.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Aiming {
+    /// No table has a reference: it is not checked.
+    Unchecked,
+    /// Not seen yet: taken on trust.
+    Unverified,
+    /// At the active preset.
+    InPlace,
+    /// Moved.
+    Moved,
+}
+
+impl Aiming {
+    /// Its name in messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unchecked => "unchecked",
+            Self::Unverified => "unverified",
+            Self::InPlace => "in_place",
+            Self::Moved => "moved",
+        }
+    }
+}
+
+/// Buffers for pictures of one size.
+#[derive(Debug)]
+struct Buffers {
+    size: (usize, usize),
+    eye: Eye<Vec<u8>, Vec<Cell>>,
+    before: Before<Vec<u8>>,
+}
+
+impl Buffers {
+    fn new(width: usize, height: usize) -> Self {
+        let grid = Grid::of(width, height);
+        let len = grid.buffer_len();
+        let eye = Eye::new(grid, vec![0; len], vec![[0; 2]; len]);
+        Self {
+            size: (width, height),
+            eye: eye.expect("buffers of the length that the grid asks for"),
+            before: Before::new(vec![0; grid.cells()]),
+        }
+    }
+}
+
+/// Judges pictures.
+#[derive(Debug)]
+pub struct Scene {
+    /// One a preset, or none where the camera's aim is not checked.
+    references: Vec<Reference>,
+    guard: Box<Guard>,
+    buffers: Option<Buffers>,
+    begun: Option<UtcMs>,
+    clock: Duration,
+    latest: Option<Look>,
+    shift: Option<ImagePoint>,
+}
+
+impl Scene {
+    /// A judge for a camera with these presets, each with the reference of its table.
+    pub fn new(references: Vec<Option<Reference>>) -> Self {
+        let references: Option<Vec<_>> = references.into_iter().collect();
+        let references = references.unwrap_or_default();
+        Self {
+            guard: Box::new(Guard::new(references.len())),
+            references,
+            buffers: None,
+            begun: None,
+            clock: Duration::ZERO,
+            latest: None,
+            shift: None,
+        }
+    }
+
+    /// Judges a picture taken at `time`.
+    pub fn judge(&mut self, picture: &Picture, time: UtcMs) -> View {
+        let size = (picture.width, picture.height);
+        let mut buffers = match self.buffers.take() {
+            Some(buffers) if buffers.size == size => buffers,
+            _ => Buffers::new(picture.width, picture.height),
+        };
+        let view = self.judge_with(&mut buffers, picture, time);
+        self.buffers = Some(buffers);
+        view
+    }
+
+    fn judge_with(&mut self, buffers: &mut Buffers, picture: &Picture, time: UtcMs) -> View {
+        let Buffers { eye, before, .. } = buffers;
+        eye.look(&picture.rgb);
+        let grid = eye.grid();
+        let look = Look::at(eye.luma(), grid.width);
+        self.latest = Some(look);
+        self.shift = None;
+        if let Some(flaw) = look.flaw() {
+            return View::Withheld(flaw.into());
+        }
+        if before.repeats(eye.luma(), grid.width) {
+            return View::Unchanged;
+        }
+        if !self.is_checked(grid) {
+            return View::UNJUDGED;
+        }
+        let (was, now) = (self.guard.aim(), self.since_start(time));
+        let Judgement { aim, shift } = self.guard.judge(&self.references, eye, now);
+        if was != aim {
+            say(was, aim);
+        }
+        let px = grid.cell_px();
+        self.shift = shift.map(|(dx, dy)| ImagePoint { u: dx * px, v: dy * px });
+        match (aim, self.shift) {
+            (Aim::Preset(preset), Some(shift)) => View::Fit { preset, shift },
+            (Aim::Unknown, Some(shift)) => View::Fit { preset: 0, shift },
+            (Aim::Moved, _) => View::Withheld(Alarm::CameraMoved),
+            _ => View::PassedOver,
+        }
+    }
+
+    /// What the camera's aim is known to be.
+    pub fn aiming(&self) -> Aiming {
+        let grid = self.buffers.as_ref().map(|buffers| buffers.eye.grid());
+        if !grid.map_or(!self.references.is_empty(), |grid| self.is_checked(grid)) {
+            return Aiming::Unchecked;
+        }
+        match self.guard.aim() {
+            Aim::Unknown => Aiming::Unverified,
+            Aim::Preset(_) => Aiming::InPlace,
+            Aim::Moved => Aiming::Moved,
+        }
+    }
+
+    /// What was read from the latest picture.
+    pub fn latest(&self) -> Option<Look> {
+        self.latest
+    }
+
+    /// By how much the latest picture is shifted, px; `None` where it was not measured.
+    pub fn shift(&self) -> Option<ImagePoint> {
+        self.shift
+    }
+
+    /// Whether every preset can be looked for in pictures of this grid.
+    fn is_checked(&self, grid: Grid) -> bool {
+        !self.references.is_empty() && self.references.iter().all(|r| r.fits(grid))
+    }
+
+    /// Time since the first picture; a clock that is set back stands still.
+    fn since_start(&mut self, time: UtcMs) -> Duration {
+        let begun = *self.begun.get_or_insert(time);
+        let since = time.saturating_since(begun);
+        if since < self.clock {
+            // Set back: time goes on from here.
+            self.begun = Some(UtcMs(time.0.saturating_sub(self.clock.as_millis() as i64)));
+            return self.clock;
+        }
+        self.clock = since;
+        since
+    }
+}
+
+fn say(was: Aim, is: Aim) {
+    match is {
+        Aim::Preset(preset) if was != Aim::Unknown => {
+            log::info!("the camera looks at preset {} again", preset + 1);
+        }
+        Aim::Preset(preset) => log::info!("the camera looks at preset {}", preset + 1),
+        Aim::Moved => log::warn!("the camera has moved: no density until it is back"),
+        Aim::Unknown => {}
+    }
+}

@@ -1,0 +1,303 @@
+//! Picture health and the moved camera, on the simulated street and on the real one.
+//! Longer runs of the same: `calib/examples/scene.rs`; results in docs/health.md.
+
+mod common;
+
+use common::{folder, k109f_frames, stderr, verge};
+use mvcalib::calibration::Calibration;
+use mvcalib::labelme::LabelFile;
+use mvcalib::lane_table::{lanes, table};
+use mvcalib::scene_reference::{pictures, reference};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use street::recording::{Recorder, calibration, write};
+use street::scene::Scene;
+use verge::daemon::capture::decode;
+use verge::daemon::flow::Picture;
+use verge::daemon::scene::{Aiming, Scene as Judge, View};
+use verge::health::Alarm;
+use verge::scene::Reference;
+use verge::units::{ImagePoint, UtcMs};
+
+fn curve(changes: &[&str]) -> Scene {
+    let text = include_str!("../street/scenes/curve.toml");
+    let changes: Vec<String> = changes.iter().map(|c| (*c).to_owned()).collect();
+    Scene::parse(text, "curve.toml", &changes).expect("a right scene")
+}
+
+/// The reference of the recording that ships.
+fn street_reference() -> Reference {
+    let files = pictures(Path::new(common::STREET_FRAMES)).expect("it ships");
+    let some: Vec<PathBuf> = files.into_iter().step_by(15).collect();
+    reference(&some, &[]).expect("a clear scene").1
+}
+
+/// A camera on the street of that recording, a picture each ten seconds.
+struct Camera {
+    recorder: Recorder,
+    number: i64,
+}
+
+impl Camera {
+    fn new(changes: &[&str]) -> Self {
+        let scene = curve(&[&["interval_s=10"], changes].concat());
+        Self { recorder: Recorder::new(&scene, 3).expect("a street"), number: 0 }
+    }
+
+    /// The next picture, after JPEG, and its time.
+    fn next(&mut self) -> (Picture, UtcMs) {
+        self.number += 1;
+        let frame = self.recorder.next_frame();
+        let jpeg = frame.picture.jpeg(60, "frame").expect("encoding to memory");
+        (decoded(&jpeg), UtcMs(self.number * 10_000))
+    }
+}
+
+fn decoded(jpeg: &[u8]) -> Picture {
+    let mut picture = Picture::default();
+    decode(jpeg, &mut picture).expect("a whole picture");
+    picture
+}
+
+#[test]
+fn the_scene_is_found_by_night_and_in_rain_and_its_sway_is_measured() {
+    let known = street_reference();
+    for light in [&[][..], &["light.rain=0.8"], &["light.daylight=dusk"], &["light.daylight=night"]]
+    {
+        let mut camera = Camera::new(&[&["faults.shake_px=2"], light].concat());
+        let scene = camera.recorder.street().scene().clone();
+        let mut judge = Judge::new(vec![Some(known.clone())]);
+        for number in 0..4 {
+            let (picture, time) = camera.next();
+            let View::Fit { preset: 0, shift } = judge.judge(&picture, time) else {
+                panic!("{light:?}: frame {number} is not in place")
+            };
+            let time_s = f64::from(number) * 10.0;
+            let sway = street::faults::View::at(&scene, 3, time_s).sway.scaled_axis();
+            let (u, v) = (scene.camera.focal_px * sway.y, -scene.camera.focal_px * sway.x);
+            let error = (f64::from(shift.u) - u).hypot(f64::from(shift.v) - v);
+            assert!(error < 0.4, "{light:?}: {error:.2} px");
+        }
+        assert_eq!(judge.aiming(), Aiming::InPlace);
+    }
+}
+
+#[test]
+fn a_small_move_is_flagged_within_two_minutes_and_forgiven_when_undone() {
+    let known = street_reference();
+    for (kind, light) in
+        [("pan_deg = 0.92", "day"), ("tilt_deg = -2.0", "night"), ("roll_deg = 2.0", "dusk")]
+    {
+        let ptz = format!("faults.ptz={{ at_s = 55.0, until_s = 155.0, {kind} }}");
+        let light = format!("light.daylight={light}");
+        let mut camera = Camera::new(&["faults.shake_px=1.5", &ptz, &light]);
+        let mut judge = Judge::new(vec![Some(known.clone())]);
+        let mut moved = Vec::new();
+        for number in 0..22 {
+            let (picture, time) = camera.next();
+            match judge.judge(&picture, time) {
+                View::Withheld(Alarm::CameraMoved) => moved.push(number),
+                View::PassedOver => assert!((6..19).contains(&number), "{kind}: {number}"),
+                View::Fit { .. } => {}
+                other => panic!("{kind}: frame {number} is {other:?}"),
+            }
+        }
+        // Moved from frame 6 to 15: flagged from the fourth on, back with the third again.
+        assert_eq!(moved, (9..=17).collect::<Vec<_>>(), "{kind}");
+        assert_eq!(judge.aiming(), Aiming::InPlace);
+    }
+}
+
+#[test]
+fn another_scene_is_a_move_and_fog_is_none() {
+    let mut judge = Judge::new(vec![Some(street_reference())]);
+    let mut camera = Camera::new(&["faults.ptz={ at_s = 35.0, pan_deg = 25.0 }"]);
+    let views: Vec<View> = (0..12)
+        .map(|_| {
+            let (picture, time) = camera.next();
+            judge.judge(&picture, time)
+        })
+        .collect();
+    assert!(views[..4].iter().all(|view| matches!(view, View::Fit { .. })), "{views:?}");
+    assert_eq!(views[11], View::Withheld(Alarm::CameraMoved), "{views:?}");
+
+    let mut judge = Judge::new(vec![Some(street_reference())]);
+    let mut camera = Camera::new(&[]);
+    for number in 0..12 {
+        let (mut picture, time) = camera.next();
+        if number >= 3 {
+            picture.rgb.iter_mut().for_each(|level| *level = 150 + *level / 7);
+        }
+        let view = judge.judge(&picture, time);
+        let blinded = view == View::Withheld(Alarm::BlindedPicture);
+        assert_eq!(blinded, number >= 3, "{view:?}");
+    }
+    assert_eq!(judge.aiming(), Aiming::InPlace, "the state is kept");
+}
+
+#[test]
+fn blank_and_blurred_pictures_are_told_from_good_ones() {
+    let (picture, time) = Camera::new(&[]).next();
+    let (width, height) = (picture.width as u32, picture.height as u32);
+    let judged = |rgb: Vec<u8>| {
+        let picture = Picture { width: width as usize, height: height as usize, rgb };
+        Judge::new(vec![None]).judge(&picture, time)
+    };
+    let image = image::RgbImage::from_raw(width, height, picture.rgb).expect("a whole picture");
+    assert_eq!(judged(image.to_vec()), View::UNJUDGED);
+    for level in [0, 128, 255] {
+        let blank = vec![level; image.len()];
+        assert_eq!(judged(blank), View::Withheld(Alarm::BlankPicture), "{level}");
+    }
+    let blurred = image::imageops::blur(&image, 4.0).into_vec();
+    assert_eq!(judged(blurred), View::Withheld(Alarm::BlurredPicture));
+    let glare = image.iter().map(|&level| level.saturating_mul(4)).collect();
+    assert_eq!(judged(glare), View::Withheld(Alarm::BlindedPicture));
+}
+
+#[test]
+fn a_frozen_picture_with_a_running_clock_is_unchanged_and_an_empty_street_is_not() {
+    let clock = |picture: &mut Picture, second: usize| {
+        for (digit, v) in (0..8).flat_map(|digit| (225..235).map(move |v| (digit, v))) {
+            for u in 0..6 {
+                let at = (v * picture.width + 220 + 8 * digit + u) * 3;
+                let level = if (second >> (digit % 5)) % 2 == 0 { 240 } else { 20 };
+                picture.rgb[at..at + 3].fill(level);
+            }
+        }
+    };
+    let recoded = |picture: &Picture| {
+        let image = image::RgbImage::from_raw(320, 240, picture.rgb.clone()).expect("whole");
+        let mut jpeg = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 75)
+            .encode_image(&image)
+            .expect("encoding to memory");
+        decoded(&jpeg)
+    };
+    let (still, _) = Camera::new(&[]).next();
+    let mut judge = Judge::new(vec![None]);
+    for second in 0..8 {
+        let mut shown = Picture { rgb: still.rgb.clone(), ..still };
+        clock(&mut shown, second);
+        let view = judge.judge(&recoded(&shown), UtcMs(second as i64 * 1000));
+        let expected = if second == 0 { View::UNJUDGED } else { View::Unchanged };
+        assert_eq!(view, expected, "second {second}");
+    }
+
+    let no_traffic: Vec<String> = vec!["light.daylight=night".into(), "interval_s=1".into()];
+    let text = include_str!("../street/scenes/curve.toml");
+    let mut empty = Scene::parse(text, "curve.toml", &no_traffic).expect("a right scene");
+    empty.lanes.iter_mut().for_each(|lane| lane.inflow_veh_h = 0.0);
+    let mut recorder = Recorder::new(&empty, 1).expect("a street");
+    let mut judge = Judge::new(vec![None]);
+    for second in 0..6 {
+        let jpeg = recorder.next_frame().picture.jpeg(60, "frame").expect("encoding");
+        let view = judge.judge(&decoded(&jpeg), UtcMs(second * 1000));
+        assert_eq!(view, View::UNJUDGED, "second {second}");
+    }
+}
+
+/// Writes a recording's lane table with the reference of its first frames.
+fn write_table(recording: &Path, scene: &Scene, frames: usize, out: &Path) {
+    let camera = recording.join("camera.json");
+    std::fs::write(&camera, calibration(scene).to_string()).expect("writing a file");
+    let camera = Calibration::read(&camera, None).expect("a right calibration");
+    let mut recorder = Recorder::new(scene, 3).expect("a street");
+    let drawn = street::measured::labelme(scene, recorder.street().measured(), "a.jpg");
+    let drawn: LabelFile = serde_json::from_value(drawn).expect("labelme");
+    let drawn = lanes(&drawn, "lanes", &camera.camera()).expect("lanes on the road");
+    let folder = recording.join("reference");
+    std::fs::create_dir_all(&folder).expect("a folder");
+    for number in 0..frames {
+        let jpeg = recorder.next_frame().picture.jpeg(90, "frame").expect("encoding");
+        std::fs::write(folder.join(format!("{number}.jpg")), jpeg).expect("writing a frame");
+    }
+    let (_, seen) = reference(&pictures(&folder).expect("frames"), &[]).expect("a clear scene");
+    std::fs::remove_dir_all(&folder).expect("removing the frames");
+    let hash = if out.ends_with("b.lut") { [0xb; 32] } else { [0xa; 32] };
+    let bytes = table(&camera, &drawn, hash, "curve", Some(&seen)).expect("a right table");
+    std::fs::write(out, bytes).expect("writing the table");
+}
+
+#[test]
+fn presets_are_chosen_by_what_is_seen_and_windows_are_not_mixed() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name);
+    // From the third minute on the operator looks elsewhere.
+    let ptz = "faults.ptz={ at_s = 115.0, pan_deg = 1.5, tilt_deg = 1.5 }";
+    let recorded = curve(&["interval_s=20", ptz]);
+    write(&recorded, 12, 3, &path("recording")).expect("a recording");
+    write_table(folder.path(), &curve(&[]), 6, &path("a.lut"));
+    let other = curve(&["camera.pan_deg=-0.5", "camera.tilt_deg=20.5"]);
+    write_table(folder.path(), &other, 6, &path("b.lut"));
+    let (a, b, frames) = (path("a.lut"), path("b.lut"), path("recording/frames"));
+    let text = |path: &PathBuf| path.to_str().expect("UTF-8").to_owned();
+    let replay = |tables: &[&PathBuf]| -> Vec<Value> {
+        let tables: Vec<String> =
+            tables.iter().flat_map(|t| ["--table".to_owned(), text(t)]).collect();
+        let frames = text(&frames);
+        let mut args = vec!["replay", "--frames", &frames, "--json", "--window", "60"];
+        args.extend(tables.iter().map(String::as_str));
+        let output = verge(&args);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let lines = String::from_utf8(output.stdout).expect("UTF-8");
+        lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect()
+    };
+    let used = |windows: &[Value]| -> Vec<(String, u64)> {
+        let one = |w: &Value| {
+            let calibration = w["calibration"]["sha256"].as_str().expect("a hash")[..2].to_owned();
+            (calibration, w["lanes"][0]["frames_used"].as_u64().expect("a number"))
+        };
+        windows.iter().map(one).collect()
+    };
+    // Two frames of the third minute pass until the other preset is believed.
+    let expected = [("0a", 3), ("0a", 3), ("0b", 1), ("0b", 3)];
+    let expected = expected.map(|(hash, used)| (hash.to_owned(), used));
+    assert_eq!(used(&replay(&[&a, &b])), expected);
+    // With one preset alone density is suspended from the move on.
+    let windows = replay(&[&a]);
+    assert_eq!(used(&windows)[..2], expected[..2]);
+    for window in &windows[2..] {
+        assert_eq!(window["lanes"][0]["status"], "detectionAutoSuspended");
+        assert!(window["lanes"][0]["density_veh_km"].is_null());
+    }
+}
+
+#[test]
+fn k109fs_wander_is_found_and_puts_vehicles_into_their_lanes() {
+    let Some(frames) = k109f_frames() else { return };
+    let text = |name: &str| std::fs::read_to_string(name).expect("it ships");
+    let json = |name: &str| -> Value { serde_json::from_str(&text(name)).expect("JSON") };
+    let told = json("tests/data/k109f/frames.json");
+    let mut files = pictures(&frames).expect("frames");
+    files.retain(|file| file.file_name().is_some_and(|name| name != "vehicle_03.jpg"));
+    let pose = files.iter().position(|f| f.ends_with("vehicle_06.jpg")).expect("the pose's frame");
+    files[..=pose].rotate_right(1);
+    let (_, known) = reference(&files, &[]).expect("one scene");
+    let table = std::fs::read(common::K109F_TABLE).expect("it ships");
+    let table = verge::lane::LaneTable::parse(table).expect("a right table");
+    let labels = json("tests/data/k109f/vehicles.json");
+    let (mut right, mut all, mut worst) = (0, 0, 0.0_f64);
+    for frame in labels["frames"].as_array().expect("frames") {
+        let name = frame["frame"].as_str().expect("a name");
+        let picture = decoded(&std::fs::read(frames.join(name)).expect("the frame"));
+        let view = Judge::new(vec![Some(known.clone())]).judge(&picture, UtcMs(0));
+        let View::Fit { shift, .. } = view else { panic!("{name}: {view:?}") };
+        let by_lines = &told["shifts"][name];
+        let by_lines = [0, 1].map(|i| by_lines[i].as_f64().expect("px"));
+        let difference = (f64::from(shift.u) - by_lines[0]).hypot(f64::from(shift.v) - by_lines[1]);
+        eprintln!("{name}: {:+.2} {:+.2}, by the lane lines {by_lines:?}", shift.u, shift.v);
+        worst = worst.max(difference);
+        for vehicle in frame["vehicles"].as_array().expect("vehicles") {
+            let side = |i: usize| vehicle["box"][i].as_f64().expect("px") as f32;
+            let (u, v) = ((side(0) + side(2)) / 2.0, side(3));
+            let point = ImagePoint { u: u - shift.u, v: v - shift.v };
+            let Some(place) = table.place(point) else { continue };
+            all += 1;
+            right += usize::from(u64::from(place.lane.get()) == vehicle["lane"].as_u64().unwrap());
+        }
+    }
+    eprintln!("{right} of {all} in their lane; largest difference {worst:.2} px");
+    assert!(worst <= 0.5, "{worst} px");
+    assert!(all >= 60 && right + 2 >= all, "{right} of {all}");
+}

@@ -1,5 +1,4 @@
-//! The net on this processor's vector instructions against the portable kernels, and against
-//! tract, which runs the same file by its own means.
+//! The net on this processor's vector instructions against the portable kernels.
 
 mod common;
 
@@ -52,29 +51,4 @@ fn a_hundred_pictures_give_the_same_boxes_as_on_the_portable_kernels() {
     }
     assert_eq!(pictures, 100);
     assert!(boxes > 1000, "{boxes} boxes");
-}
-
-/// How far scores may lie apart: a sum that falls on the other side of a step moves all that
-/// follows it.
-const ALIKE: f32 = 0.12;
-
-#[test]
-fn tract_finds_the_same_vehicles() {
-    let (mut ours, mut theirs) = (load(Precision::AsStored), load(Precision::Tract));
-    assert!(theirs.runs_on().starts_with("tract"), "{}", theirs.runs_on());
-    let mut picture = Picture::default();
-    for path in frames().iter().step_by(45) {
-        read(path, &mut picture);
-        let (ours, theirs) = (found(&mut ours, &picture), found(&mut theirs, &picture));
-        let clear = |d: &&Detection| d.score > 0.3 + ALIKE;
-        assert!(ours.iter().any(|d| clear(&d)), "{}", path.display());
-        for (these, those) in [(&ours, &theirs), (&theirs, &ours)] {
-            for one in these.iter().filter(clear) {
-                let like = |other: &&Detection| {
-                    one.bounds.iou(&other.bounds) > 0.85 && (one.score - other.score).abs() < ALIKE
-                };
-                assert!(those.iter().any(|other| like(&other)), "{}: {one:?}", path.display());
-            }
-        }
-    }
 }

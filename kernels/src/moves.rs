@@ -210,7 +210,8 @@ pub(crate) unsafe fn double<T: Mix>(
         for x in 0..2 * width {
             // The nearest pixel and its neighbour on the other side, at the border itself.
             let near = |at: usize, len: usize| {
-                let next = if at % 2 == 0 { (at / 2).saturating_sub(1) } else { at / 2 + 1 };
+                let next =
+                    if at.is_multiple_of(2) { (at / 2).saturating_sub(1) } else { at / 2 + 1 };
                 (at / 2, next.min(len - 1))
             };
             let ((row, other_row), (column, other)) = (near(y, height), near(x, width));

@@ -86,8 +86,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             heard = Instant::now();
             taken += messages.len();
         }
-        let due = compacted.elapsed() > every || journal.written() > SEGMENT_BYTES;
-        if due && compactor.is_idle() {
+        if journal.written() > SEGMENT_BYTES {
+            journal.close_segment();
+        }
+        if compacted.elapsed() > every && compactor.is_idle() {
             compacted = Instant::now();
             journal.close_segment();
             compactor.begin(out, &journal)?;

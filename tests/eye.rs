@@ -161,7 +161,7 @@ fn a_frozen_picture_with_a_running_clock_is_unchanged_and_an_empty_street_is_not
         for (digit, v) in (0..8).flat_map(|digit| (225..235).map(move |v| (digit, v))) {
             for u in 0..6 {
                 let at = (v * picture.width + 220 + 8 * digit + u) * 3;
-                let level = if (second >> (digit % 5)) % 2 == 0 { 240 } else { 20 };
+                let level = if (second >> (digit % 5)).is_multiple_of(2) { 240 } else { 20 };
                 picture.rgb[at..at + 3].fill(level);
             }
         }

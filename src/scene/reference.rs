@@ -218,7 +218,7 @@ impl Reference {
 }
 
 fn length(cell: Cell) -> usize {
-    let [c, s] = cell.map(|v| f32::from(v));
+    let [c, s] = cell.map(f32::from);
     libm::sqrtf(c * c + s * s) as usize
 }
 

@@ -58,7 +58,7 @@ pub fn folder() -> tempfile::TempDir {
 /// A JPEG of stripes around one level: a picture that has something to see.
 pub fn jpeg(width: u32, height: u32, grey: u8) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let stripe = |u: u32, v: u32| if (u / 8 + v / 16) % 2 == 0 { 0 } else { 60 };
+    let stripe = |u: u32, v: u32| if (u / 8 + v / 16).is_multiple_of(2) { 0 } else { 60 };
     let level = |u, v| image::Rgb([grey.saturating_add(stripe(u, v)); 3]);
     let picture = image::RgbImage::from_fn(width, height, level);
     image::codecs::jpeg::JpegEncoder::new(&mut bytes)

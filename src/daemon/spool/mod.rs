@@ -9,7 +9,7 @@
 //! A log of our own and no embedded database: a window is one append and one `fdatasync` of
 //! one or two pages in a file of fixed length, where a copy-on-write tree or a database with
 //! a journal writes several pages and syncs twice; nothing is ever searched; and recovery is
-//! one scan that copes with any bytes. [`record`] has the format.
+//! one scan that copes with any bytes. `record` has the format.
 
 mod record;
 mod segment;

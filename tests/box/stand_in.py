@@ -1,6 +1,6 @@
 """A stand-in for the detector: an ONNX file of a few operators that finds nothing.
 
-Under emulation the shipped model takes seconds a picture; the box is about everything else.
+The box is about everything else, and emulation is slow; the shipped model was not tried there.
 The file is written byte by byte (protobuf: https://protobuf.dev/programming-guides/encoding),
 so that no package is needed. In: 1x3x64x64. Out: 1x4x6, a YOLOX head at stride 32, all 0.
 

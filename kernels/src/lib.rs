@@ -9,12 +9,17 @@
 //! The one place of the project, besides the clock and the microcontroller, with `unsafe`:
 //! vector instructions and the pointers that they need.
 
-mod conv;
+mod builder;
+mod depthwise;
+mod finish;
 mod isa;
 mod lanes;
+mod layout;
 mod moves;
 mod net;
 mod pack;
+mod pixels;
+mod product;
 mod step;
 
 #[cfg(target_arch = "aarch64")]
@@ -22,6 +27,7 @@ mod arm;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+pub use builder::{Builder, PlanError, Tensor};
 pub use isa::Isa;
-pub use net::{Builder, Net, PlanError, Shape, Tensor};
+pub use net::{Net, Shape};
 pub use pack::{Conv, Steps, Weights};

@@ -2,8 +2,8 @@
 //!
 //! Plain loops over pixels, compiled once for each instruction set.
 
-use crate::conv::{Pixels, Window};
 use crate::lanes::ROUND;
+use crate::pixels::{Pixels, Window};
 
 /// The largest value under each window; places outside do not count.
 ///
@@ -183,7 +183,9 @@ impl Mix for u8 {
     #[inline(always)]
     fn mix(a: u8, b: u8, c: u8, d: u8) -> u8 {
         let [a, b, c, d] = [a, b, c, d].map(u16::from);
-        ((9 * a + 3 * (b + c) + d + 8) >> 4) as u8
+        let sum = 9 * a + 3 * (b + c) + d;
+        // To the nearest, a half to the even one, as a model's QuantizeLinear does.
+        ((sum + 7 + ((sum >> 4) & 1)) >> 4) as u8
     }
 }
 

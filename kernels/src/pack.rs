@@ -1,6 +1,5 @@
 //! Weights from the order of model files into the order of the kernels.
 
-use crate::conv::{Finish, Packed, PackedF, panels};
 use crate::isa::{Isa, traits};
 
 /// The steps that a picture of bytes counts in: `value = (byte - zero) * scale`.
@@ -54,6 +53,48 @@ pub struct Conv<'a> {
     pub slope: Option<f32>,
     /// Steps of the output; `None` for floats.
     pub out: Option<Steps>,
+}
+
+/// What happens to a sum before it is stored.
+#[derive(Clone, Debug)]
+pub(crate) struct Finish {
+    /// Steps of the output that one of the sum is worth, by channel, filled up with 0.
+    pub factors: Vec<f32>,
+    /// Rounded before the activation: least and largest step, from the zero point.
+    pub before: Option<(f32, f32)>,
+    /// Factor below 0 and elsewhere.
+    pub slopes: Option<(f32, f32)>,
+    /// The output's zero point; `None`: 32-bit floats.
+    pub zero: Option<f32>,
+}
+
+/// Integer weights, packed for one width of vectors.
+#[derive(Clone, Debug)]
+pub(crate) struct Packed {
+    /// Vectors of channels that are worked on together: `(first channel, vectors)`.
+    pub panels: Vec<(usize, usize)>,
+    /// By panel, four inputs, channel: four bytes. Depthwise: by tap column, group of four
+    /// rows, channel.
+    pub weights: Vec<u8>,
+    /// What sums start from, by channel.
+    pub start: Vec<i32>,
+    /// Channels of the output.
+    pub channels: usize,
+    /// Inputs of each output, in fours.
+    pub fours: usize,
+    pub finish: Finish,
+}
+
+/// Float weights, packed alike with one input in place of four.
+#[derive(Clone, Debug)]
+pub(crate) struct PackedF {
+    pub panels: Vec<(usize, usize)>,
+    pub weights: Vec<f32>,
+    pub start: Vec<f32>,
+    pub channels: usize,
+    pub inputs: usize,
+    /// Factor below 0.
+    pub slope: Option<f32>,
 }
 
 impl Conv<'_> {
@@ -166,4 +207,18 @@ impl Conv<'_> {
         };
         PackedF { panels, weights, start, channels: self.channels, inputs, slope: self.slope }
     }
+}
+
+/// Panels of at most four (or two) vectors, as even as can be.
+fn panels(channels: usize, lanes: usize, wide: bool) -> Vec<(usize, usize)> {
+    let vectors = channels.div_ceil(lanes);
+    let count = vectors.div_ceil(if wide { 4 } else { 2 });
+    let mut first = 0;
+    (0..count)
+        .map(|i| {
+            let width = (vectors - first).div_ceil(count - i);
+            first += width;
+            ((first - width) * lanes, width)
+        })
+        .collect()
 }

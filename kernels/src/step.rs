@@ -2,9 +2,12 @@
 //!
 //! Owns what a step names and the only place where offsets become pointers.
 
-use crate::conv::{self, Packed, PackedF, Pixels, Window};
+use crate::depthwise::{depthwise, depthwise_f};
 use crate::lanes::Lanes;
 use crate::moves::{self, Rescale};
+use crate::pack::{Packed, PackedF};
+use crate::pixels::{Pixels, Window, windows};
+use crate::product::product;
 
 /// Where a picture lies: first byte, and bytes from pixel to pixel.
 #[derive(Clone, Copy, Debug)]
@@ -163,19 +166,18 @@ pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
         let (a, b) = (step.from[0], step.from[1]);
         match &step.work {
             Work::Product { packed, count } => {
-                conv::product::<S>(packed, bytes(a), bytes(step.to), *count);
+                product::<S, _>(packed, bytes(a), bytes(step.to), *count);
             }
             Work::ProductF { packed, count } => {
-                conv::product_f::<S>(packed, floats(a), floats(step.to), *count);
+                product::<S, _>(packed, floats(a), floats(step.to), *count);
             }
             Work::Dense { packed, window, channels, outside } => {
                 let width = 4 * packed.fours;
                 let rows = Pixels { start: scratch, stride: width };
                 for y in 0..window.to[0] {
-                    conv::windows(window, bytes(a), *channels, y, scratch, width, *outside);
-                    let to = bytes(step.to);
-                    let start = to.start.add(y * window.to[1] * to.stride);
-                    conv::product::<S>(packed, rows, Pixels { start, ..to }, window.to[1]);
+                    windows(window, bytes(a), *channels, y, scratch, width, *outside);
+                    let to = bytes(step.to).skip(y * window.to[1]);
+                    product::<S, _>(packed, rows, to, window.to[1]);
                 }
             }
             Work::DenseF { packed, window, channels } => {
@@ -183,17 +185,16 @@ pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
                 let scratch = scratch.cast::<f32>();
                 let rows = Pixels { start: scratch, stride: width };
                 for y in 0..window.to[0] {
-                    conv::windows(window, floats(a), *channels, y, scratch, width, 0.0);
-                    let to = floats(step.to);
-                    let start = to.start.add(y * window.to[1] * to.stride);
-                    conv::product_f::<S>(packed, rows, Pixels { start, ..to }, window.to[1]);
+                    windows(window, floats(a), *channels, y, scratch, width, 0.0);
+                    let to = floats(step.to).skip(y * window.to[1]);
+                    product::<S, _>(packed, rows, to, window.to[1]);
                 }
             }
             Work::Depthwise { packed, window, outside } => {
-                conv::depthwise::<S>(packed, window, bytes(a), bytes(step.to), *outside, scratch);
+                depthwise::<S>(packed, window, bytes(a), bytes(step.to), *outside, scratch);
             }
             Work::DepthwiseF { packed, window } => {
-                conv::depthwise_f::<S>(packed, window, floats(a), floats(step.to));
+                depthwise_f::<S>(packed, window, floats(a), floats(step.to));
             }
             Work::Pool { window, channels } => {
                 moves::pool(window, *channels, 0u8, bytes(a), bytes(step.to));

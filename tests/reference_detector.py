@@ -4,7 +4,8 @@ usage: reference_detector.py MODEL.onnx FOLDER COLUMNS VEHICLES
 
 For every PNG in FOLDER prints {"frame": name, "boxes": [[x0, y0, x1, y1, score], ...]}, in
 pixels of the frame, for a NanoDet-Plus model with COLUMNS score columns, of which VEHICLES
-(numbers with commas between) are vehicles.
+(numbers with commas between) are vehicles. A model whose file name begins with "yolox" is read
+as a YOLOX model.
 """
 
 import json
@@ -20,6 +21,7 @@ SCORE, IOU = 0.3, 0.6
 
 def main(model, folder, columns, vehicles):
     vehicles = [int(column) for column in vehicles.split(",")]
+    yolox = pathlib.Path(model).name.startswith("yolox")
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     _, _, height, width = session.get_inputs()[0].shape
     for path in sorted(pathlib.Path(folder).glob("*.png")):
@@ -30,10 +32,16 @@ def main(model, folder, columns, vehicles):
         canvas = np.full((height, width, 3), 114.0, np.float32)
         bands = [band.convert("F").resize(size, Image.BILINEAR) for band in picture.split()]
         canvas[top:top + size[1], left:left + size[0]] = np.stack(bands, -1)
-        bgr = (canvas[..., ::-1] - [103.53, 116.28, 123.675]) / [57.375, 57.12, 58.395]
+        bgr = canvas[..., ::-1]
+        if not yolox:
+            bgr = (bgr - [103.53, 116.28, 123.675]) / [57.375, 57.12, 58.395]
         feed = {session.get_inputs()[0].name: bgr.transpose(2, 0, 1)[None].astype(np.float32)}
         output = session.run(None, feed)[0][0]
-        boxes = decode(output, width, height, int(columns), vehicles)
+        if yolox:
+            boxes = decode_yolox(output, width, height, vehicles)
+        else:
+            boxes = decode(output, width, height, int(columns), vehicles)
+        boxes = suppress(boxes)
         boxes[:, [0, 2]] = (boxes[:, [0, 2]] - left) / scale
         boxes[:, [1, 3]] = (boxes[:, [1, 3]] - top) / scale
         boxes[:, [0, 2]] = boxes[:, [0, 2]].clip(0, picture.width)
@@ -41,19 +49,35 @@ def main(model, folder, columns, vehicles):
         print(json.dumps({"frame": path.name, "boxes": boxes.tolist()}))
 
 
-def decode(output, width, height, columns, vehicles):
+def grid(width, height, strides):
+    """Column, row and stride of each cell."""
     cells = []
-    for stride in (8, 16, 32, 64):
+    for stride in strides:
         v, u = np.mgrid[: -(-height // stride), : -(-width // stride)]
-        cells.append(np.stack([u.ravel() * stride, v.ravel() * stride, 0 * u.ravel() + stride], 1))
-    cells = np.concatenate(cells).astype(np.float32)
+        cells.append(np.stack([u.ravel(), v.ravel(), 0 * u.ravel() + stride], 1))
+    return np.concatenate(cells).astype(np.float32)
+
+
+def decode(output, width, height, columns, vehicles):
+    cells = grid(width, height, (8, 16, 32, 64))
+    points = cells[:, :2] * cells[:, 2:]
     scores = output[:, vehicles].max(1)
     bins = output[:, columns:].reshape(-1, 4, 8)
     weights = np.exp(bins - bins.max(2, keepdims=True))
     sides = (weights / weights.sum(2, keepdims=True)) @ np.arange(8) * cells[:, 2:]
-    corners = [cells[:, 0] - sides[:, 0], cells[:, 1] - sides[:, 1],
-               cells[:, 0] + sides[:, 2], cells[:, 1] + sides[:, 3]]
-    boxes = np.stack(corners + [scores], 1)[scores >= SCORE]
+    return np.concatenate([points - sides[:, :2], points + sides[:, 2:], scores[:, None]], 1)
+
+
+def decode_yolox(output, width, height, vehicles):
+    cells = grid(width, height, (8, 16, 32))
+    scores = output[:, 4] * output[:, 5:][:, vehicles].max(1)
+    centres = (output[:, :2] + cells[:, :2]) * cells[:, 2:]
+    halves = np.exp(output[:, 2:4]) * cells[:, 2:] / 2
+    return np.concatenate([centres - halves, centres + halves, scores[:, None]], 1)
+
+
+def suppress(boxes):
+    boxes = boxes[boxes[:, 4] >= SCORE]
     boxes = boxes[np.argsort(-boxes[:, 4], kind="stable")]
     kept = []
     for box in boxes:

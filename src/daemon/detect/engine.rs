@@ -11,7 +11,7 @@ use super::tract::{
     DatumExt, Framework, InferenceFact, InferenceModelExt, IntoRunnable, TValue, Tensor,
     TractError, TypedRunnableModel, tvec,
 };
-use super::{ModelError, onnx, pb};
+use super::{ModelError, forms, operators, pb};
 use crate::daemon::flow::Detection;
 use std::path::Path;
 use std::sync::Arc;
@@ -27,8 +27,6 @@ pub enum Precision {
     Float,
     /// As the file says, on the portable kernels: the reference for all others.
     Portable,
-    /// In tract, as it is.
-    Tract,
 }
 
 /// A loaded net.
@@ -68,7 +66,7 @@ impl Engine {
             expected: expected.to_vec(),
             actual: actual.to_vec(),
         };
-        let reader = onnx();
+        let reader = operators::reader();
         let proto = reader.proto_model_for_read(&mut &bytes[..]).map_err(load)?;
         drop(bytes);
         let (width, height) = (sidecar.input.width_px, sidecar.input.height_px);
@@ -90,6 +88,13 @@ impl Engine {
             }
             Err(why) => why,
         };
+        // tract would round in operators of their own, slower than not at all.
+        let proto = forms::unrounded(proto);
+        let unknown = proto.graph.as_ref().map(|graph| operators::unknown(&reader, graph));
+        if let Some(names) = unknown.filter(|names| !names.is_empty()) {
+            let reason = format!("operators that are not known here: {}", names.join(", "));
+            return Err(ModelError::Load { path: path.to_owned(), reason });
+        }
         let model = reader.model_for_proto_model(&proto).map_err(load)?;
         if let Some(actual) = known_shape(model.input_fact(0).map_err(load)?)
             && actual != shape
@@ -112,7 +117,6 @@ impl Engine {
 
     fn on_kernels(proto: &pb::ModelProto, precision: Precision) -> Result<Lowered, String> {
         let isa = match precision {
-            Precision::Tract => return Err("tract was asked for".to_owned()),
             Precision::Portable => Isa::Portable,
             Precision::AsStored | Precision::Float => Isa::best(),
         };

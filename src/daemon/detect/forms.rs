@@ -6,9 +6,9 @@
 //! them and the rounding.
 
 use super::graph::{Graph, Values, attribute};
-use super::pb::{ModelProto, NodeProto, TensorProto, tensor_proto};
+use super::pb::{GraphProto, ModelProto, NodeProto, TensorProto, tensor_proto};
 use super::tract::Framework;
-use super::{ModelError, onnx};
+use super::{ModelError, operators};
 use prost::Message;
 use std::collections::HashMap;
 use std::path::Path;
@@ -30,14 +30,27 @@ pub fn forms(path: &Path) -> Result<Forms, ModelError> {
     let bytes =
         std::fs::read(path).map_err(|source| ModelError::Read { path: path.to_owned(), source })?;
     let load = |reason: String| ModelError::Load { path: path.to_owned(), reason };
-    let proto =
-        onnx().proto_model_for_read(&mut &bytes[..]).map_err(|error| load(format!("{error:#}")))?;
+    let proto = operators::reader()
+        .proto_model_for_read(&mut &bytes[..])
+        .map_err(|error| load(format!("{error:#}")))?;
     let graph = proto.graph.as_ref().ok_or_else(|| load("a file without a graph".to_owned()))?;
-    let is_int8 = graph.node.iter().any(|node| node.op_type == "QuantizeLinear");
+    let is_int8 = graph.node.iter().any(is_rounding);
     let read = Graph::new(graph);
     let float = float(&proto, &read).ok_or_else(|| load("unknown weights".to_owned()))?;
     let early = is_int8.then(|| rounded_early(&proto, &read).encode_to_vec());
     Ok(Forms { float: float.encode_to_vec(), rounded_early: early })
+}
+
+/// `proto` in 32-bit floats if it rounds and its weights are known, else as it is.
+pub(super) fn unrounded(proto: ModelProto) -> ModelProto {
+    let graph = proto.graph.as_ref();
+    let rounds = |graph: &&GraphProto| graph.node.iter().any(is_rounding);
+    let float = graph.filter(rounds).and_then(|graph| float(&proto, &Graph::new(graph)));
+    float.unwrap_or(proto)
+}
+
+fn is_rounding(node: &NodeProto) -> bool {
+    node.op_type == "QuantizeLinear"
 }
 
 fn float(proto: &ModelProto, read: &Graph<'_>) -> Option<ModelProto> {

@@ -11,6 +11,7 @@ mod head;
 mod letterbox;
 mod lower;
 mod nms;
+mod operators;
 mod sidecar;
 mod tail;
 
@@ -26,7 +27,7 @@ use head::Head;
 use letterbox::Letterbox;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-use tract_onnx::{onnx, pb, prelude as tract};
+use tract_onnx::{self as onnx, pb, prelude as tract, tract_hir as hir};
 
 /// Most boxes of one picture that reach non-maximum suppression, best first: eight lanes
 /// of 100 m at jam density, with ten cells firing on each vehicle, stay below.

@@ -10,7 +10,7 @@ use super::{CONNECT, Message, MqttSettings, Report, Statistics};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::time::{Duration, Instant};
 
 /// How often the thread looks for new messages while it is connected.
@@ -241,8 +241,16 @@ impl Worker {
 
     /// Takes new commands without waiting.
     fn collect(&mut self) {
-        while let Ok(command) = self.commands.try_recv() {
-            self.accept(command);
+        loop {
+            match self.commands.try_recv() {
+                Ok(command) => self.accept(command),
+                Err(TryRecvError::Empty) => return,
+                // Nobody is there to hear of it: it ends without a goodbye's patience.
+                Err(TryRecvError::Disconnected) => {
+                    self.stop_at.get_or_insert_with(Instant::now);
+                    return;
+                }
+            }
         }
     }
 
@@ -253,7 +261,8 @@ impl Worker {
             let left = until.saturating_duration_since(Instant::now());
             match self.commands.recv_timeout(left) {
                 Ok(command) => self.accept(command),
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Timeout) => return,
+                Err(RecvTimeoutError::Disconnected) => self.stop_at = Some(Instant::now()),
             }
         }
     }

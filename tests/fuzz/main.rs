@@ -6,7 +6,7 @@
 //! with a target's name behind `fuzz` for that one alone. What has been run stands in
 //! `docs/fuzzing.md`.
 //!
-//! Targets: `pictures`, `large_pictures`, `http_answers` (camera), `configurations`,
+//! Targets: `pictures`, `large_pictures`, `http_answers`, `streams` (camera), `configurations`,
 //! `lane_tables`, `spool_recovery` (files), `wire_messages`, `json_messages` (messages read
 //! back).
 
@@ -15,6 +15,7 @@ mod common;
 mod http;
 mod mutate;
 mod runner;
+mod streams;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use fastrand::Rng;
@@ -29,6 +30,7 @@ use verge::daemon::publish::{Identity, payload};
 use verge::daemon::spool::{self, Spool};
 use verge::density::{Aggregator, FrameCounts, LaneReport, SampleZoneStatus, Start};
 use verge::lane::{self, Description, Lane, LaneTable, Name};
+use verge::scene::{Point, Reference};
 use verge::units::{Direction, ImagePoint, ImageSize, LaneId, UtcMs, VehicleClass};
 use verge::wire::{self, DensityMessage, ModelRef};
 
@@ -266,8 +268,19 @@ fn name(text: &str) -> Name {
     Name::try_from(text).expect("short")
 }
 
-/// A table of 16x8 cells with two lanes.
-fn small_table() -> Vec<u8> {
+/// A reference of a scene: two rows of points in both grids.
+fn small_scene() -> Reference {
+    let mut scene = Reference { width: 160, height: 120, ..Reference::default() };
+    for n in 0..200 {
+        let point = Point { x: n % 100, y: 7 + n / 100, edge: [100, -20] };
+        scene.fine.push(point).expect("room for more");
+        let _ = scene.coarse.push(Point { x: point.x / 2, ..point });
+    }
+    scene
+}
+
+/// A table of 16x8 cells with two lanes: format 1, or 2 with a scene.
+fn small_table(scene: Option<&Reference>) -> Vec<u8> {
     let lane = |number, direction| Lane {
         id: LaneId::new(number).expect("in range"),
         direction,
@@ -281,12 +294,12 @@ fn small_table() -> Vec<u8> {
         calibration_id: name("calibration"),
         calibration_sha256: [3; 32],
     };
-    let mut bytes = vec![0; lane::encoded_len(&description, None)];
+    let mut bytes = vec![0; lane::encoded_len(&description, scene)];
     let cell = |u: u16, v: u16| {
         let lane = LaneId::new((u / 6) as u8)?;
         (lane.get() < 3).then(|| lane::Place { lane, s_m: f32::from(v) * 4.0, span_m: 0.5 })
     };
-    let len = lane::encode(&description, None, cell, &mut bytes).expect("a right table");
+    let len = lane::encode(&description, scene, cell, &mut bytes).expect("a right table");
     bytes.truncate(len);
     bytes
 }
@@ -296,8 +309,14 @@ fn lane_tables() {
     let target = Target {
         name: "lane_tables",
         executions: 50_000,
-        corpus: vec![small_table()],
-        tokens: &[b"VERGELUT", b"VERGELUT\x01\0", b"\xff\xff\xff\xff\x0f", b"\0\0\xc0\x7f"],
+        corpus: vec![small_table(None), small_table(Some(&small_scene()))],
+        tokens: &[
+            b"VERGELUT",
+            b"VERGELUT\x01\0",
+            b"VERGELUT\x02\0",
+            b"\xff\xff\xff\xff\x0f",
+            b"\0\0\xc0\x7f",
+        ],
         longest: 1 << 12,
     };
     target.run(|rng, input| {
@@ -320,14 +339,18 @@ fn lane_tables() {
         outcome(result, |table| {
             let description = table.description();
             let lanes = "/".repeat(description.lanes.len());
-            lanes + &magnitude(description.cell_count())
+            let scene = outcome(table.scene(), |scene| match scene {
+                Some(scene) => magnitude(scene.fine.len()) + "+" + &magnitude(scene.coarse.len()),
+                None => "no scene".to_owned(),
+            });
+            lanes + &magnitude(description.cell_count()) + &scene
         })
     });
 }
 
 /// Messages with and without density.
 fn messages_to_begin_with() -> Vec<DensityMessage> {
-    let table = LaneTable::parse(small_table()).expect("a right table");
+    let table = LaneTable::parse(small_table(None)).expect("a right table");
     let minute = std::time::Duration::from_secs(60);
     let lanes = &table.description().lanes;
     let mut line =

@@ -5,7 +5,10 @@
 //! must arrive. `VERGE_LONG=1` runs the numbers of the product's claim, some minutes each.
 #![cfg(feature = "demo")]
 
+#[path = "../common/mod.rs"]
 mod common;
+mod crowd;
+mod disk;
 
 use common::mosquitto::{Mosquitto, Running, free_port};
 use serde_json::Value;
@@ -30,8 +33,12 @@ const ROOT: &str = "verge/delivery";
 /// What a process with this in its environment does is [`child`].
 const CHILD: &str = "VERGE_DELIVERY_CHILD";
 
+fn is_long() -> bool {
+    std::env::var_os("VERGE_LONG").is_some()
+}
+
 fn repetitions(short: usize, long: usize) -> usize {
-    if std::env::var_os("VERGE_LONG").is_some() { long } else { short }
+    if is_long() { long } else { short }
 }
 
 /// A one-minute window of four lanes that ends at the `n`-th minute.
@@ -61,6 +68,16 @@ fn outlet(port: u16, folder: &Path, replay_per_s: f64) -> Outlet {
     let settings = MqttSettings { replay_per_s, ..MqttSettings::local(port, ROOT) };
     let spool = Spool::open(folder, 7 * 1440).expect("the earlier one is dead");
     Outlet::start(settings, Format::Json, identity, spool)
+}
+
+/// Tends the outlet until `done`.
+fn tend(outlet: &mut Outlet, what: &str, done: impl Fn(&Outlet) -> bool) {
+    let until = Instant::now() + PATIENCE;
+    while !done(outlet) {
+        assert!(Instant::now() < until, "{what}: {:?}", outlet.counts());
+        outlet.tend();
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 /// The life of a process that is to be killed: accepts a window each 10 ms for as long as

@@ -264,6 +264,59 @@ fn presets_are_chosen_by_what_is_seen_and_windows_are_not_mixed() {
 }
 
 #[test]
+fn a_check_says_that_a_picture_would_be_withheld() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name);
+    write_table(folder.path(), &curve(&[]), 6, &path("a.lut"));
+    let model = std::fs::canonicalize(common::MODEL).expect("it ships");
+    let checked = |name: &str, frames: &[Vec<u8>]| -> (String, bool) {
+        std::fs::create_dir(path(name)).expect("a folder");
+        for (number, frame) in frames.iter().enumerate() {
+            std::fs::write(path(name).join(format!("{number}.jpg")), frame).expect("a frame");
+        }
+        let config = format!(
+            "site = \"s\"\n[camera]\nid = \"curve\"\nsource = \"{name}\"\ninterval_s = 1\n\
+             [model]\nfile = {model:?}\n[lane_table]\nfile = \"a.lut\"\n\
+             [mqtt]\nport = 1\n"
+        );
+        let config_file = path(&format!("{name}.toml"));
+        std::fs::write(&config_file, config).expect("writing the configuration");
+        let output = verge(&["check", "--config", config_file.to_str().expect("UTF-8")]);
+        let said = String::from_utf8(output.stdout).expect("UTF-8");
+        let line = said.lines().find(|line| line.contains("measurement")).unwrap_or_default();
+        // Nothing listens at the broker's port: 69 where that alone has failed.
+        (line.to_owned(), output.status.code() == Some(69))
+    };
+    let street = |changes: &[&str]| -> Vec<Vec<u8>> {
+        let mut recorder = Recorder::new(&curve(changes), 3).expect("a street");
+        (0..2).map(|_| recorder.next_frame().picture.jpeg(60, "f").expect("encoding")).collect()
+    };
+    let good = street(&[]);
+    let (said, passed) = checked("good", &good);
+    assert!(said.starts_with("ok ") && said.ends_with("aim: in_place") && passed, "{said}");
+    let black = image::RgbImage::new(320, 240);
+    let mut dark = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new(&mut dark).encode_image(&black).expect("encoding");
+    for (name, frames, expected) in [
+        (
+            "moved",
+            street(&["faults.ptz={ at_s = 0.0, pan_deg = 2.0 }"]),
+            "camera_moved (detectionAutoSuspended)",
+        ),
+        (
+            "elsewhere",
+            street(&["faults.ptz={ at_s = 0.0, pan_deg = 25.0 }"]),
+            "camera_moved (detectionAutoSuspended)",
+        ),
+        ("frozen", vec![good[0].clone(); 2], "frozen_picture (inputDataIntegrity)"),
+        ("dark", vec![dark; 2], "blank_picture (sensorFailure)"),
+    ] {
+        let (said, passed) = checked(name, &frames);
+        assert!(said.starts_with("FAIL") && said.contains(expected) && !passed, "{name}: {said}");
+    }
+}
+
+#[test]
 fn k109fs_wander_is_found_and_puts_vehicles_into_their_lanes() {
     let Some(frames) = k109f_frames() else { return };
     let text = |name: &str| std::fs::read_to_string(name).expect("it ships");

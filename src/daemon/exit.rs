@@ -67,6 +67,16 @@ pub enum Failure {
     /// The windows.
     #[error(transparent)]
     Aggregate(#[from] AggregateError),
+    /// A picture that came is not fit to be measured.
+    #[error("no density from this picture: {reason} ({status}); {hint}")]
+    Withheld {
+        /// The alarm that it would raise.
+        reason: &'static str,
+        /// What windows would say.
+        status: &'static str,
+        /// What to do.
+        hint: &'static str,
+    },
     /// Every single picture of a recording failed.
     #[error("none of the {frames} frames could be measured; the first fault: {first}")]
     NothingMeasured {
@@ -157,7 +167,8 @@ impl Failure {
             Self::Recording(RecordingError::Interval(_)) => CONFIG,
             Self::Recording(_) | Self::DemoFiles { .. } => NOINPUT,
             Self::Capture(CaptureError::Read { .. }) => NOINPUT,
-            Self::Capture(CaptureError::Decode { .. }) | Self::NothingMeasured { .. } => DATAERR,
+            Self::Capture(CaptureError::Decode { .. }) => DATAERR,
+            Self::NothingMeasured { .. } | Self::Withheld { .. } => DATAERR,
             Self::Device(DeviceError::NotBuilt { .. }) | Self::Mjpeg(MjpegError::Url { .. }) => {
                 CONFIG
             }

@@ -378,11 +378,11 @@ fn open_endless(settings: &LineSettings, frames: &Path) -> Result<Station, Failu
     Ok(Station { source, camera: None, frame: Frame::default(), line })
 }
 
-/// The first picture of a configuration's camera, in the shape of the line's table.
-fn first_picture(config: &Config, line: Option<&Line>) -> Result<Frame, Failure> {
-    let mut frame = Frame::default();
-    Source::open(camera(config, line)?)?.next(&mut frame)?;
-    Ok(frame)
+/// A configuration's camera and its first picture, in the shape of the line's table.
+fn first_picture(config: &Config, line: Option<&Line>) -> Result<(Source, Frame), Failure> {
+    let (mut source, mut frame) = (Source::open(camera(config, line)?)?, Frame::default());
+    source.next(&mut frame)?;
+    Ok((source, frame))
 }
 
 /// The camera of a configuration, asked for pictures in the shape of the line's table.

@@ -1,9 +1,11 @@
-//! What the box's shell cannot say to the kernel: a control of a camera, a word to a sensor.
+//! What the box's shell cannot say to the kernel: a control of a camera, a word to a sensor,
+//! a thread that is to stand still.
 //!
 //! Compiled by `run` with nothing but the compiler:
 //!
 //!     guest control /dev/video0 0x00f0f040 100
 //!     guest word /dev/i2c-0 0x48 0x00 0x8019
+//!     guest hang 123
 
 use std::fs::OpenOptions;
 use std::io::Error;
@@ -17,9 +19,13 @@ const I2C_SLAVE_FORCE: u64 = 0x0706;
 const I2C_SMBUS: u64 = 0x0720;
 /// `I2C_SMBUS_WORD_DATA`.
 const WORD_DATA: u32 = 3;
+/// `PTRACE_SEIZE` and `PTRACE_INTERRUPT`: one thread, and no signal that the others hear.
+const SEIZE: u64 = 0x4206;
+const INTERRUPT: u64 = 0x4207;
 
 unsafe extern "C" {
     fn ioctl(fd: i32, request: u64, ...) -> i32;
+    fn ptrace(request: u64, thread: i32, address: u64, data: u64) -> i64;
 }
 
 #[repr(C)]
@@ -48,9 +54,24 @@ fn ok(outcome: i32, what: &str) {
     assert!(outcome >= 0, "{what}: {}", Error::last_os_error());
 }
 
+/// Stops a thread for as long as this program lives.
+fn hang(thread: i32) -> ! {
+    for request in [SEIZE, INTERRUPT] {
+        // SAFETY: neither request takes a pointer.
+        let outcome = unsafe { ptrace(request, thread, 0, 0) };
+        assert!(outcome == 0, "ptrace {request:#x}: {}", Error::last_os_error());
+    }
+    loop {
+        std::thread::park();
+    }
+}
+
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    if let ["hang", thread] = arguments[..] {
+        hang(number(thread) as i32);
+    }
     let [what, path, numbers @ ..] = &arguments[..] else { panic!("guest WHAT DEVICE NUMBER...") };
     let device = OpenOptions::new().read(true).write(true).open(path);
     let device = device.unwrap_or_else(|error| panic!("{path}: {error}"));
@@ -76,6 +97,6 @@ fn main() {
             // SAFETY: the request takes an i2c_smbus_ioctl_data; it and its data live through.
             ok(unsafe { ioctl(fd, I2C_SMBUS, &raw mut write) }, "I2C_SMBUS");
         }
-        _ => panic!("guest control|word DEVICE NUMBER..."),
+        _ => panic!("guest control|word DEVICE NUMBER..., guest hang THREAD"),
     }
 }

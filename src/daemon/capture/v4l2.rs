@@ -2,14 +2,16 @@
 //!
 //! Owns opening (format, size and rate by [`negotiate`]), the stream of memory-mapped
 //! buffers, and its end. A stream is never mended: on any error it is dropped, and a new one
-//! is opened from the device's path, so that a camera may come back under another number.
+//! is opened from the device's path, so that a camera may come back under another number. A
+//! stream that has run is opened again at once: most faults are over by then, and no picture
+//! is lost. After that the waits grow.
 //!
 //! Three habits of the crate are met here. It panics where a driver answers with something
 //! that it does not know, and when a stream cannot be stopped: every call is made behind
 //! [`guarded`]. After a failed `next` it would queue a buffer that the kernel owns: hence
 //! "never mended". `S_FMT` changes what it cannot do: the answer is compared.
 
-use super::backoff::Backoff;
+use super::backoff::{Backoff, LONGEST_AT_THE_BOX};
 use super::device::{DeviceError, DeviceSettings};
 use super::negotiate::{self, Choice, Encoding, FrameTime, Offer};
 use super::pixels::{self, Colour, Layout};
@@ -54,7 +56,7 @@ impl V4l2 {
             settings,
             open: None,
             asked: Instant::now(),
-            backoff: Backoff::default(),
+            backoff: Backoff::up_to(LONGEST_AT_THE_BOX),
             last_error: None,
             last_digest: None,
             counts: StreamCounts::default(),
@@ -77,25 +79,37 @@ impl V4l2 {
         {
             return Err(error.clone().into());
         }
-        let outcome = self.take(frame);
+        let (begun, has_run) = (Instant::now(), self.open.is_some());
+        let mut outcome = self.take(frame, begun);
+        if has_run && self.open.is_none() && begun.elapsed() < self.settings.timeout {
+            outcome = self.take(frame, begun);
+        }
         match &outcome {
-            // A frame that does not decode says nothing about the stream.
-            Ok(_) | Err(CaptureError::Decode { .. }) => {
+            Err(CaptureError::Device(error)) => {
+                self.backoff.failed(Instant::now(), 0.0);
+                self.last_error = Some(error.clone());
+            }
+            _ => {
                 self.backoff.succeeded();
                 self.last_error = None;
-            }
-            Err(error) => {
-                self.counts.reopened += u64::from(self.open.take().is_some());
-                self.backoff.failed(Instant::now(), 0.0);
-                if let CaptureError::Device(error) = error {
-                    self.last_error = Some(error.clone());
-                }
             }
         }
         outcome
     }
 
-    fn take(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
+    /// Takes a frame of the stream, which is opened where it is not open and dropped where
+    /// it fails.
+    fn take(&mut self, frame: &mut Frame, begun: Instant) -> Result<Captured, CaptureError> {
+        let outcome = self.try_take(frame, begun);
+        // A frame that does not decode says nothing about the stream.
+        if let Err(CaptureError::Device(error)) = &outcome {
+            log::debug!("{error}");
+            self.counts.reopened += u64::from(self.open.take().is_some());
+        }
+        outcome
+    }
+
+    fn try_take(&mut self, frame: &mut Frame, begun: Instant) -> Result<Captured, CaptureError> {
         let Self { settings, open, asked, last_digest, counts, .. } = self;
         let since_last = asked.elapsed();
         *asked = Instant::now();
@@ -104,7 +118,7 @@ impl V4l2 {
             closed => closed.insert(guarded(settings, "opening", || Open::new(settings))?),
         };
         guarded(settings, "taking a frame", || {
-            open.newest(settings, Question::new(since_last), counts, |open, bytes| {
+            open.newest(settings, begun, Question::new(since_last), counts, |open, bytes| {
                 let mut hasher = DefaultHasher::new();
                 hasher.write(bytes);
                 let digest = hasher.finish();
@@ -177,10 +191,11 @@ impl Open {
         Ok(Self { stream: Stopping(Some(stream)), given, sequence: Sequence::default() })
     }
 
-    /// Takes the newest frame that is not marked as damaged.
+    /// Takes the newest frame that is not marked as damaged, for a question of `begun`.
     fn newest<T>(
         &mut self,
         settings: &DeviceSettings,
+        begun: Instant,
         mut question: Question,
         counts: &mut StreamCounts,
         mut take: impl FnMut(Given, &[u8]) -> Result<T, CaptureError>,
@@ -188,7 +203,7 @@ impl Open {
         let stream = self.stream.0.as_mut().expect("it is taken out only when it is dropped");
         let handle = stream.handle();
         let waits = || handle.poll(libc::POLLIN, 0).is_ok_and(|ready| ready > 0);
-        let (begun, mut flagged) = (Instant::now(), 0);
+        let mut flagged = 0;
         loop {
             let Some(rest) = settings.timeout.checked_sub(begun.elapsed()) else {
                 return Err(timed_out(settings));

@@ -1,10 +1,19 @@
 //! `verge check`: every part of a configuration is tried, one line per check.
+//!
+//! Two pictures are judged as the running line would judge them. What it would withhold for
+//! longer than a moment fails the check, so that nobody leaves a camera that looks elsewhere.
 
 use crate::daemon::config::Config;
 use crate::daemon::exit::{self, Failure};
-use crate::daemon::publish;
-use crate::daemon::{broker, first_picture, open_line};
+use crate::daemon::publish::{self, payload::status_name};
+use crate::daemon::{Station, broker, first_picture, open_line};
+use crate::health::{Alarm, Event};
 use std::path::Path;
+use std::time::Duration;
+
+/// Time between the two pictures: by then two of one scene that is not the table's count as
+/// a move, and a camera that gives more than one in this time must give another.
+const APART: Duration = Duration::from_secs(6);
 
 pub fn run(path: &Path) -> Result<(), Failure> {
     let mut report = Report::default();
@@ -23,15 +32,12 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         let (model, table) = line.describe();
         format!("{model}; {table}")
     });
-    let frame = report.line("camera", first_picture(&config, line.as_ref()), |frame| {
+    let picture = report.line("camera", first_picture(&config, line.as_ref()), |(_, frame)| {
         format!("{}: {}x{} px", config.camera.source, frame.picture.width, frame.picture.height)
     });
-    if let (Some(mut line), Some(frame)) = (line, frame) {
-        let measured = line.measure(&frame).map(|_| line);
-        report.line("measurement", measured, |line| {
-            let (found, located) = line.latest();
-            format!("{found} vehicles found, {located} of them in the lanes")
-        });
+    if let (Some(line), Some((source, frame))) = (line, picture) {
+        let station = Station { source, frame, line };
+        report.line("measurement", measure(station, config.interval()), String::clone);
     }
     let connected = broker(&config).and_then(|settings| {
         publish::probe(&settings).map_err(|reason| Failure::Broker {
@@ -44,6 +50,48 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         format!("{}:{}, topics under {}", config.mqtt.host, config.mqtt.port, config.root_topic())
     });
     report.finish()
+}
+
+/// Measures the picture that was taken and another one, and describes what was seen.
+fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> {
+    let first = station.line.measure(&station.frame)?.event;
+    let (mut found, mut located) = station.line.latest();
+    std::thread::sleep(APART);
+    let second = station.turn()?.map_or(Event::Unchanged, |measured| measured.event);
+    let event = match second {
+        // A camera may give the same picture until its next is due.
+        Event::Unchanged if interval >= APART => first,
+        second => second,
+    };
+    if second == Event::Measured {
+        (found, located) = station.line.latest();
+    }
+    let aim = station.line.scene().map_or("not checked", |scene| scene.aiming().name());
+    match event {
+        Event::Withheld(alarm) => Err(withheld(alarm)),
+        Event::PassedOver => Err(withheld(Alarm::CameraMoved)),
+        Event::Unchanged => Err(withheld(Alarm::FrozenPicture)),
+        Event::Measured | Event::Damaged | Event::Missing => Ok(format!(
+            "{found} vehicles found, {located} of them in the lanes; the camera's aim: {aim}"
+        )),
+    }
+}
+
+/// What the running line would make of it.
+fn withheld(alarm: Alarm) -> Failure {
+    let hint = match alarm {
+        Alarm::CameraMoved => {
+            "the scene is not where the lane table has it: turn the camera back, or make a table"
+        }
+        Alarm::FrozenPicture => "the camera gives the same picture again",
+        Alarm::BlankPicture => {
+            "it is black or of one colour: is the lens covered, is there a signal?"
+        }
+        Alarm::BlindedPicture => "sun, headlights or fog: try again in other light",
+        Alarm::BlurredPicture => "nothing in it is sharp: clean the lens, or focus it",
+        Alarm::NoPicture => "there is none",
+    };
+    Failure::Withheld { reason: alarm.name(), status: status_name(alarm.status()), hint }
 }
 
 #[derive(Default)]

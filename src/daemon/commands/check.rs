@@ -36,7 +36,7 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         format!("{}: {}x{} px", config.camera.source, frame.picture.width, frame.picture.height)
     });
     if let (Some(line), Some((source, frame))) = (line, picture) {
-        let station = Station { source, frame, line };
+        let station = Station { source, camera: None, frame, line };
         report.line("measurement", measure(station, config.interval()), String::clone);
     }
     let connected = broker(&config).and_then(|settings| {
@@ -57,7 +57,7 @@ fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> 
     let first = station.line.measure(&station.frame)?.event;
     let (mut found, mut located) = station.line.latest();
     std::thread::sleep(APART);
-    let second = station.turn()?.map_or(Event::Unchanged, |measured| measured.event);
+    let second = if station.capture()? { station.measure()?.event } else { Event::Unchanged };
     let event = match second {
         // A camera may give the same picture until its next is due.
         Event::Unchanged if interval >= APART => first,

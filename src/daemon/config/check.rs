@@ -1,0 +1,94 @@
+//! Which values a configuration may have.
+
+use super::sections::MAX_TIMEOUT_S;
+use super::{Config, Mqtt};
+use crate::daemon::publish::Format;
+use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
+use crate::lane::MAX_NAME;
+
+impl Config {
+    /// The first key with a wrong value, and what would be right.
+    pub(super) fn check(&self) -> Result<(), (&'static str, String)> {
+        let known = |ok: bool, key, reason: String| if ok { Ok(()) } else { Err((key, reason)) };
+        let plain = |text: &str| !text.is_empty() && !text.contains(['+', '#', '\0']);
+        known(
+            plain(&self.site) && self.site.len() <= MAX_NAME && !self.site.contains('/'),
+            "site",
+            format!("{:?}: give 1 to {MAX_NAME} bytes without / + #", self.site),
+        )?;
+        known(
+            self.mqtt.root.as_deref().is_none_or(plain),
+            "mqtt.root",
+            format!("{:?}: give a topic without + #", self.mqtt.root),
+        )?;
+        for (key, seconds, most) in [
+            ("camera.interval_s", self.camera.interval_s, 3600.0),
+            ("camera.timeout_s", self.camera.timeout_s, MAX_TIMEOUT_S),
+        ] {
+            known(
+                (0.01..=most).contains(&seconds),
+                key,
+                format!("{seconds} s: give 0.01 to {most}"),
+            )?;
+        }
+        for &length in &self.windows.lengths_s {
+            known(
+                (MIN_WINDOW_S..=MAX_WINDOW_S).contains(&length),
+                "windows.lengths_s",
+                format!("{length} s: give {MIN_WINDOW_S} to {MAX_WINDOW_S}"),
+            )?;
+        }
+        known(
+            (0.0..=1.0).contains(&self.windows.min_completeness),
+            "windows.min_completeness",
+            format!("{}: give 0 to 1", self.windows.min_completeness),
+        )?;
+        known(
+            self.lane_table.presets.is_empty() || self.camera.watch,
+            "lane_table.presets",
+            "presets are told apart by their scene: leave camera.watch = true".to_owned(),
+        )?;
+        known(
+            self.model.score.is_none_or(|score| (0.0..=1.0).contains(&score)),
+            "model.score",
+            format!("{:?}: give 0 to 1", self.model.score),
+        )?;
+        let assistant = &self.home_assistant;
+        known(
+            plain(&assistant.prefix),
+            "home_assistant.prefix",
+            format!("{:?}: give a topic without + #", assistant.prefix),
+        )?;
+        known(
+            !assistant.discovery || self.mqtt.format == Format::Json,
+            "home_assistant.discovery",
+            "Home Assistant reads json: take mqtt.format = \"json\" or turn it off".to_owned(),
+        )?;
+        known(
+            self.mqtt.keep_alive_s >= 5,
+            "mqtt.keep_alive_s",
+            format!("{} s: give at least 5", self.mqtt.keep_alive_s),
+        )?;
+        let Mqtt { tls, ca_file, certificate_file, key_file, .. } = &self.mqtt;
+        known(
+            *tls || (ca_file.is_none() && certificate_file.is_none() && key_file.is_none()),
+            "mqtt.tls",
+            "certificates are named, but the connection is not secured: tls = true".into(),
+        )?;
+        known(
+            certificate_file.is_some() == key_file.is_some(),
+            "mqtt.certificate_file",
+            "a certificate and its key (key_file) go together".into(),
+        )?;
+        known(
+            (0.1..=1000.0).contains(&self.mqtt.replay_per_s),
+            "mqtt.replay_per_s",
+            format!("{}: give 0.1 to 1000", self.mqtt.replay_per_s),
+        )?;
+        known(
+            (0.01..=60.0).contains(&self.spool.days),
+            "spool.days",
+            format!("{}: give 0.01 to 60", self.spool.days),
+        )
+    }
+}

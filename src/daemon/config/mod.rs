@@ -1,0 +1,187 @@
+//! The configuration file of `verge run`: TOML, unknown keys refused.
+//!
+//! Owns keys, defaults and their checks. `boards/linux/verge.toml` documents every key; a
+//! test holds the two together.
+
+mod check;
+mod secrets;
+mod sections;
+
+pub use sections::{Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, SourceKind, Spool, Windows};
+
+use crate::daemon::publish::TlsFiles;
+use secrets::{private, secret};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// It cannot be read.
+    #[error("configuration {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// It does not parse.
+    #[error("configuration {}: {reason}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Line, key and reason.
+        reason: String,
+    },
+    /// A value is out of its range.
+    #[error("configuration {}: {key}: {reason}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Which key.
+        key: &'static str,
+        /// What is wrong, and what would be right.
+        reason: String,
+    },
+    /// A file with a secret that is missing or open to others.
+    #[error("{key} {}: {reason}", path.display())]
+    Secret {
+        /// Which key.
+        key: &'static str,
+        /// The secret's file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// The whole configuration.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Name of the site, in topics and messages.
+    pub site: String,
+    /// Where pictures come from.
+    pub camera: Camera,
+    /// What finds vehicles.
+    #[serde(default)]
+    pub model: Model,
+    /// Where lanes are.
+    pub lane_table: LaneTable,
+    /// Over what time density is taken.
+    #[serde(default)]
+    pub windows: Windows,
+    /// Where messages go.
+    #[serde(default)]
+    pub mqtt: Mqtt,
+    /// What is kept until it has arrived.
+    #[serde(default)]
+    pub spool: Spool,
+    /// Whether Home Assistant finds the sensor by itself.
+    #[serde(default)]
+    pub home_assistant: super::publish::home_assistant::Settings,
+    /// A text file for Prometheus.
+    #[serde(default)]
+    pub metrics: super::metrics::Settings,
+}
+
+impl Config {
+    /// Reads and checks a configuration. Relative paths in it count from its folder.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names file, key and reason.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let mut config: Self = toml::from_str(&text).map_err(|error| ConfigError::Parse {
+            path: path.to_owned(),
+            reason: error.to_string().trim_end().to_owned(),
+        })?;
+        config.check().map_err(|(key, reason)| ConfigError::Value {
+            path: path.to_owned(),
+            key,
+            reason,
+        })?;
+        config.resolve(path.parent().unwrap_or(Path::new("")));
+        Ok(config)
+    }
+
+    /// The camera's user and password.
+    ///
+    /// # Errors
+    /// [`ConfigError::Secret`].
+    pub fn camera_secret(&self) -> Result<Option<(String, String)>, ConfigError> {
+        let Camera { user, password_file, .. } = &self.camera;
+        secret("camera.password_file", user.as_deref(), password_file.as_deref())
+    }
+
+    /// The broker's user and password.
+    ///
+    /// # Errors
+    /// [`ConfigError::Secret`].
+    pub fn mqtt_secret(&self) -> Result<Option<(String, String)>, ConfigError> {
+        let Mqtt { user, password_file, .. } = &self.mqtt;
+        secret("mqtt.password_file", user.as_deref(), password_file.as_deref())
+    }
+
+    /// The files that secure the connection to the broker, when it is to be secured.
+    ///
+    /// # Errors
+    /// [`ConfigError::Secret`] for a key that others can read.
+    pub fn mqtt_tls(&self) -> Result<Option<TlsFiles>, ConfigError> {
+        let Mqtt { tls, ca_file, certificate_file, key_file, .. } = &self.mqtt;
+        if let Some(key) = key_file.as_ref().filter(|_| *tls) {
+            private("mqtt.key_file", key)?;
+        }
+        let identity = certificate_file.clone().zip(key_file.clone());
+        Ok(tls.then(|| TlsFiles { ca: ca_file.clone(), identity }))
+    }
+
+    /// Topic under which this site's topics stand.
+    pub fn root_topic(&self) -> String {
+        self.mqtt.root.clone().unwrap_or_else(|| format!("verge/{}", self.site))
+    }
+
+    /// Time between two pictures.
+    pub fn interval(&self) -> Duration {
+        Duration::from_secs_f64(self.camera.interval_s)
+    }
+
+    /// Folder of the windows that have not arrived.
+    pub fn spool_folder(&self) -> &Path {
+        &self.spool.folder
+    }
+
+    /// How many windows the spool must hold.
+    pub fn spool_windows(&self) -> u64 {
+        let a_day: u64 = self.windows.lengths_s.iter().map(|&s| 86_400_u64.div_ceil(s)).sum();
+        (a_day as f64 * self.spool.days).ceil() as u64
+    }
+
+    fn resolve(&mut self, folder: &Path) {
+        let absolute = |path: &mut PathBuf| *path = folder.join(&*path);
+        absolute(&mut self.model.file);
+        absolute(&mut self.lane_table.file);
+        self.lane_table.presets.iter_mut().for_each(absolute);
+        // Where systemd gives a folder for state, it is meant for this.
+        let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);
+        self.spool.folder = state.join(&self.spool.folder);
+        self.camera.password_file.as_mut().map(absolute);
+        for file in [
+            &mut self.mqtt.password_file,
+            &mut self.mqtt.ca_file,
+            &mut self.mqtt.certificate_file,
+            &mut self.mqtt.key_file,
+        ] {
+            file.as_mut().map(absolute);
+        }
+        self.metrics.file.as_mut().map(absolute);
+        if self.camera.kind() == SourceKind::Folder {
+            self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,182 @@
+//! The sections of the configuration with their keys and defaults.
+
+use serde::Deserialize;
+use std::path::PathBuf;
+
+/// Where pictures come from.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// Name of the camera; the lane table must be made for it.
+    pub id: String,
+    /// Address of a snapshot or of a stream, a device under `/dev`, or a folder of recorded frames.
+    pub source: String,
+    /// Time between two pictures, s.
+    pub interval_s: f64,
+    /// Longest wait for a snapshot, s.
+    #[serde(default = "default_timeout_s")]
+    pub timeout_s: f64,
+    /// User for basic authentication.
+    pub user: Option<String>,
+    /// File with the user's password.
+    pub password_file: Option<PathBuf>,
+    /// Whether pictures are judged before they are measured.
+    #[serde(default = "default_watch")]
+    pub watch: bool,
+}
+
+const fn default_watch() -> bool {
+    true
+}
+
+/// Longest wait for a picture, s: watchdogs take a line that waits for one that hangs, and
+/// the shortest (Raspberry Pi) counts 15 s.
+pub(super) const MAX_TIMEOUT_S: f64 = 10.0;
+
+const fn default_timeout_s() -> f64 {
+    10.0
+}
+
+/// What finds vehicles.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Model {
+    /// Sidecar (`.toml`) or model (`.onnx`).
+    pub file: PathBuf,
+    /// Least score that counts; the sidecar's where it is not given.
+    pub score: Option<f32>,
+}
+
+impl Default for Model {
+    fn default() -> Self {
+        Self { file: PathBuf::from(DEFAULT_MODEL), score: None }
+    }
+}
+
+/// The model that is used when none is named, from the working directory.
+pub const DEFAULT_MODEL: &str = "models/verge_nanodet_640x480.toml";
+
+/// Where lanes are.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LaneTable {
+    /// A file made by `mvcalib table`.
+    pub file: PathBuf,
+    /// The files of the camera's other presets.
+    #[serde(default)]
+    pub presets: Vec<PathBuf>,
+}
+
+/// Over what time density is taken.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Windows {
+    /// Lengths, s.
+    pub lengths_s: Vec<u64>,
+    /// Share of a window's frames without which it reports no density, 0 to 1.
+    pub min_completeness: f32,
+}
+
+impl Default for Windows {
+    fn default() -> Self {
+        // Three quarters: below it German traffic centres do not publish an interval.
+        Self { lengths_s: vec![60, 900], min_completeness: 0.75 }
+    }
+}
+
+/// What is kept until it has arrived.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Spool {
+    /// Folder of the windows that the broker has not taken yet.
+    pub folder: PathBuf,
+    /// Time for which windows are kept while the broker is away, days.
+    pub days: f64,
+}
+
+impl Default for Spool {
+    fn default() -> Self {
+        Self { folder: PathBuf::from("spool"), days: 7.0 }
+    }
+}
+
+/// Where messages go.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Mqtt {
+    /// Host name or address of the broker.
+    pub host: String,
+    /// Its port.
+    pub port: u16,
+    /// Whether the connection is secured by TLS.
+    pub tls: bool,
+    /// Certificates (PEM) that vouch for the broker, in place of the public ones.
+    pub ca_file: Option<PathBuf>,
+    /// The box's own certificate chain (PEM), where the broker asks for one.
+    pub certificate_file: Option<PathBuf>,
+    /// Its private key (PEM).
+    pub key_file: Option<PathBuf>,
+    /// Topic under which this site's topics stand; `verge/<site>` where it is not given.
+    pub root: Option<String>,
+    /// Client id; made from the root topic where it is not given.
+    pub client_id: String,
+    /// `json` or `postcard`.
+    pub format: crate::daemon::publish::Format,
+    /// User.
+    pub user: Option<String>,
+    /// File with the user's password.
+    pub password_file: Option<PathBuf>,
+    /// Silence after which the connection is tested, s.
+    pub keep_alive_s: u64,
+    /// Version of the protocol, `3.1.1` or `5`.
+    pub version: crate::daemon::publish::MqttVersion,
+    /// Most windows of an outage that are sent later, a second.
+    pub replay_per_s: f64,
+}
+
+impl Default for Mqtt {
+    fn default() -> Self {
+        Self {
+            host: "127.0.0.1".into(),
+            port: 1883,
+            tls: false,
+            ca_file: None,
+            certificate_file: None,
+            key_file: None,
+            root: None,
+            client_id: String::new(),
+            format: crate::daemon::publish::Format::Json,
+            user: None,
+            password_file: None,
+            keep_alive_s: 30,
+            version: crate::daemon::publish::MqttVersion::V3,
+            replay_per_s: 10.0,
+        }
+    }
+}
+
+/// What a camera's source is, by how it begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceKind {
+    /// `http://`, `https://`: asked for one picture after the other.
+    Snapshot,
+    /// `mjpeg+http://`, `mjpeg+https://`: asked once, sends picture after picture.
+    Mjpeg,
+    /// `/dev/`: a device at the box.
+    Device,
+    /// Anything else: recorded frames.
+    Folder,
+}
+
+impl Camera {
+    /// What the source is.
+    pub fn kind(&self) -> SourceKind {
+        let begins = |with: &[&str]| with.iter().any(|start| self.source.starts_with(start));
+        match () {
+            () if begins(&["http://", "https://"]) => SourceKind::Snapshot,
+            () if begins(&["mjpeg+http://", "mjpeg+https://"]) => SourceKind::Mjpeg,
+            () if begins(&["/dev/"]) => SourceKind::Device,
+            () => SourceKind::Folder,
+        }
+    }
+}

@@ -1,0 +1,80 @@
+use super::secrets::secret;
+use super::*;
+
+const EXAMPLE: &str = include_str!("../../../boards/linux/verge.toml");
+
+fn parse(text: &str) -> Result<Config, String> {
+    let config: Config = toml::from_str(text).map_err(|error| error.to_string())?;
+    config.check().map_err(|(key, reason)| format!("{key}: {reason}"))?;
+    Ok(config)
+}
+
+/// The example with every commented key switched on: what it shows are the defaults.
+fn example_in_full() -> String {
+    let uncomment = |line: &str| match line.strip_prefix("#") {
+        Some(rest) if !rest.starts_with(' ') && rest.contains(" = ") => rest.to_owned(),
+        _ => line.to_owned(),
+    };
+    EXAMPLE.lines().map(uncomment).collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn the_example_is_right_and_shows_the_defaults() {
+    let short = parse(EXAMPLE).expect("the example as it ships");
+    let full = parse(&example_in_full()).expect("the example with every key");
+    assert_eq!(full.mqtt.root, Some(short.root_topic()));
+    let comparable = |mut config: Config| {
+        config.mqtt.root = None;
+        (config.camera.user, config.camera.password_file) = (None, None);
+        (config.mqtt.user, config.mqtt.password_file) = (None, None);
+        (config.mqtt.tls, config.mqtt.ca_file) = (false, None);
+        (config.mqtt.certificate_file, config.mqtt.key_file) = (None, None);
+        config.model.score = None;
+        config.metrics.file = None;
+        format!("{config:?}")
+    };
+    assert_eq!(comparable(full), comparable(short));
+}
+
+#[test]
+fn wrong_keys_and_values_are_named() {
+    for (from, to, expected) in [
+        ("site = ", "sight = ", "sight"),
+        ("interval_s = 120", "interval_s = 0", "camera.interval_s"),
+        ("interval_s = 120", "interval_s = \"soon\"", "interval_s"),
+        ("#timeout_s = 10.0", "timeout_s = 60", "camera.timeout_s"),
+        ("site = \"k109f\"", "site = \"a/b\"", "site"),
+        ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
+        ("#watch = true", "watch = \"yes\"", "watch"),
+        ("#presets = []", "presets = \"b.lut\"", "presets"),
+        ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
+        ("#format = \"json\"", "format = \"xml\"", "xml"),
+        ("#ca_file =", "ca_file =", "mqtt.tls"),
+        ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
+        ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
+        ("#days = 7.0", "days = 90", "spool.days"),
+        ("#prefix = \"homeassistant\"", "prefix = \"a/#\"", "home_assistant.prefix"),
+    ] {
+        let bad = EXAMPLE.replacen(from, to, 1);
+        assert_ne!(bad, EXAMPLE, "{from}");
+        let error = parse(&bad).expect_err(to);
+        assert!(error.contains(expected), "{to}: {error}");
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn a_password_that_others_can_read_is_refused() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("password");
+    std::fs::write(&path, "hunter2\n").expect("writing it");
+    let mode = |mode| {
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).expect("chmod");
+        secret("mqtt.password_file", Some("box"), Some(&path))
+    };
+    let error = mode(0o644).expect_err("readable by all").to_string();
+    assert!(error.contains("644") && !error.contains("hunter2"), "{error}");
+    let (user, password) = mode(0o600).expect("private").expect("given");
+    assert_eq!((user.as_str(), password.as_str()), ("box", "hunter2"));
+}

@@ -9,18 +9,23 @@
 //! A log of our own and no embedded database: a window is one append and one `fdatasync` of
 //! one or two pages in a file of fixed length, where a copy-on-write tree or a database with
 //! a journal writes several pages and syncs twice; nothing is ever searched; and recovery is
-//! one scan that copes with any bytes. `record` has the format.
+//! one scan that copes with any bytes. `record` has the format, `storage` writes, `recovery` reads
+//! what an earlier run has left.
 
 mod record;
+mod recovery;
 mod segment;
+mod storage;
 
 use crate::wire::DensityMessage;
-use record::{Checkpoint, MAX_KEYS, Record};
+use record::{Checkpoint, Record};
+use recovery::lock;
 use segment::{SEGMENT, Segment};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
+use storage::remove;
 
 /// Most windows that are kept in memory while the disk takes none: a day of minutes.
 pub const MAX_IN_MEMORY: usize = 1440;
@@ -290,184 +295,6 @@ impl Spool {
         self.entries.binary_search_by_key(&key, |entry| entry.key).ok()
     }
 
-    /// Reads what an earlier run has left and makes the newest segment ready.
-    fn recover(&mut self, folder: &Path) -> Result<(), SpoolError> {
-        let mut paths: Vec<_> = std::fs::read_dir(folder)?
-            .filter_map(|entry| Some(entry.ok()?.path()))
-            .filter(|path| path.extension().is_some_and(|ending| ending == "spool"))
-            .collect();
-        paths.sort();
-        let mut found = BTreeMap::new();
-        let mut torn = false;
-        for path in paths {
-            let Some(first) = path.file_stem().and_then(|name| name.to_str()?.parse().ok()) else {
-                log::warn!("spool: {} has no name of ours and is left alone", path.display());
-                continue;
-            };
-            let (segment, scan) = match Segment::open(path.clone()) {
-                Ok(opened) => opened.ok_or(SpoolError::Version(path))?,
-                Err(error) => {
-                    log::error!("spool: {}: {error}", path.display());
-                    self.counts.damaged += 1;
-                    continue;
-                }
-            };
-            self.counts.damaged += scan.damaged;
-            torn = scan.torn;
-            for (offset, record) in scan.records {
-                self.restore(first, offset, record, &mut found);
-            }
-            self.next.next_key = self.next.next_key.max(first);
-            self.segments.insert(first, segment);
-        }
-        self.entries = found.into_values().collect();
-        if self.counts.damaged > 0 {
-            log::error!("spool: {} damaged records were skipped", self.counts.damaged);
-        }
-        if !self.entries.is_empty() {
-            log::info!("spool: {} windows of an earlier run wait", self.entries.len());
-        }
-        if let Some(mut last) = self.segments.last_entry() {
-            last.get_mut().reopen(torn)?;
-            self.writable = true;
-        }
-        self.sweep();
-        Ok(())
-    }
-
-    fn restore(
-        &mut self,
-        segment: u64,
-        offset: usize,
-        record: Record,
-        found: &mut BTreeMap<u64, Entry>,
-    ) {
-        match record {
-            Record::Checkpoint(numbers) => {
-                self.next.next_key = self.next.next_key.max(numbers.next_key);
-                for (window_s, seq) in numbers.last_seq {
-                    self.remember(window_s, seq);
-                }
-            }
-            Record::Window { key, message } => {
-                let report = &message.report;
-                let window_s = report.to.saturating_since(report.from).as_secs();
-                let window_s = u32::try_from(window_s).unwrap_or(u32::MAX);
-                self.remember(window_s, message.seq);
-                self.next.next_key = self.next.next_key.max(key + 1);
-                let place = Place::Disk { segment, offset };
-                found.insert(key, Entry { key, window_s, place, given: false });
-            }
-            Record::Acknowledged(keys) => {
-                for key in keys {
-                    found.remove(&key);
-                }
-            }
-        }
-    }
-
-    fn remember(&mut self, window_s: u32, seq: u64) {
-        match self.next.last_seq.iter_mut().find(|(length, _)| *length == window_s) {
-            Some((_, last)) => *last = seq.max(*last),
-            None => self.next.last_seq.push((window_s, seq)),
-        }
-    }
-
-    /// Writes what only the memory holds, oldest first, with what was acknowledged.
-    fn save(&mut self) {
-        if self.folder.is_none() {
-            return;
-        }
-        while let unsaved @ 1.. = self.in_memory_count() {
-            if let Err(error) = self.save_entry(self.entries.len() - unsaved) {
-                self.refuse(&error);
-                return;
-            }
-        }
-    }
-
-    fn save_entry(&mut self, index: usize) -> io::Result<()> {
-        let Entry { key, place: Place::Memory(message), .. } = &self.entries[index] else {
-            return Ok(());
-        };
-        let (key, record) = (*key, Record::Window { key: *key, message: message.clone() });
-        let mut bytes = Vec::new();
-        record.write(&mut bytes).ok_or(io::ErrorKind::InvalidData)?;
-        self.make_room(key, bytes.len() + MAX_KEYS * 8 + 9)?;
-        self.write_taken(&mut bytes);
-        let (segment, offset) = self.append(&bytes)?;
-        // Making room may have removed older ones.
-        if let Some(index) = self.find(key) {
-            self.entries[index].place = Place::Disk { segment, offset };
-        }
-        Ok(())
-    }
-
-    /// Adds a record of acknowledgements to `bytes`, for as many as one holds.
-    fn write_taken(&mut self, bytes: &mut Vec<u8>) {
-        let keys: Vec<_> = self.taken.iter().copied().take(MAX_KEYS).collect();
-        if !keys.is_empty() && Record::Acknowledged(keys.clone()).write(bytes).is_some() {
-            // Should the append fail they come again, once, after a crash.
-            keys.iter().for_each(|key| _ = self.taken.remove(key));
-        }
-    }
-
-    fn append(&mut self, bytes: &[u8]) -> io::Result<(u64, usize)> {
-        let mut last = self.segments.last_entry().ok_or(io::ErrorKind::NotFound)?;
-        if !last.get().has_room(bytes.len()) {
-            return Err(io::ErrorKind::StorageFull.into());
-        }
-        let offset = last.get_mut().append(bytes)?;
-        self.counts.written_bytes += bytes.len() as u64;
-        self.counts.syncs += 1;
-        Ok((*last.key(), offset))
-    }
-
-    /// Sees to a segment with room for `len` bytes, by a new one where it must.
-    fn make_room(&mut self, key: u64, len: usize) -> io::Result<()> {
-        let last = self.segments.values().next_back();
-        if self.writable && last.is_some_and(|last| last.has_room(len)) {
-            return Ok(());
-        }
-        let folder = self.folder.clone().ok_or(io::ErrorKind::NotFound)?;
-        while self.segments.len() >= self.max_segments {
-            self.drop_oldest();
-        }
-        if self.lock.is_none() {
-            self.lock = lock(&folder).map_err(io::Error::other)?;
-        }
-        let head = Record::Checkpoint(self.checkpoint(key));
-        let made = Segment::create(&folder, key, &head)?;
-        self.counts.written_bytes += SEGMENT as u64;
-        self.counts.syncs += 2;
-        self.segments.insert(key, made);
-        self.writable = true;
-        self.sweep();
-        Ok(())
-    }
-
-    /// The numbers that the disk may know before the window with `key` is on it: were they
-    /// ahead of it, a crash between the two would leave a gap.
-    fn checkpoint(&self, key: u64) -> Checkpoint {
-        let mut last_seq = self.next.last_seq.clone();
-        for entry in self.entries.iter().rev() {
-            if let Place::Memory(message) = &entry.place
-                && let Some((_, last)) = last_seq.iter_mut().find(|(s, _)| *s == entry.window_s)
-            {
-                *last = message.seq - 1;
-            }
-        }
-        Checkpoint { next_key: key, last_seq }
-    }
-
-    /// The disk has refused: nothing more goes into this segment.
-    fn refuse(&mut self, error: &io::Error) {
-        if self.writable || self.in_memory_count() == 1 {
-            log::error!("spool: {error}; windows are kept in memory until the disk takes them");
-        }
-        self.writable = false;
-    }
-
     /// Gives up the oldest segment with what waits in it.
     fn drop_oldest(&mut self) {
         let Some((first, segment)) = self.segments.pop_first() else { return };
@@ -492,45 +319,6 @@ impl Spool {
             log::error!("the spool is full: the oldest windows are lost");
         }
         self.counts.dropped += windows;
-    }
-
-    /// Removes segments in which nothing waits, from the oldest on: a later one may hold
-    /// acknowledgements of an earlier. The newest stays, it has the numbers to go on with.
-    fn sweep(&mut self) {
-        while self.segments.len() > 1
-            && let Some((&first, _)) = self.segments.first_key_value()
-        {
-            let on_it = |entry: &Entry| match entry.place {
-                Place::Disk { segment, .. } => segment == first,
-                Place::Memory(_) => false,
-            };
-            // Entries are in the order of their segments.
-            if self.entries.front().is_some_and(on_it) {
-                return;
-            }
-            let Some((_, segment)) = self.segments.pop_first() else { return };
-            remove(segment);
-            let next = self.segments.first_key_value().map_or(u64::MAX, |(&next, _)| next);
-            self.taken.retain(|&key| key >= next);
-        }
-    }
-}
-
-fn remove(segment: Segment) {
-    if let Err(error) = segment.remove() {
-        log::warn!("spool: a segment that is done with cannot be removed: {error}");
-    }
-}
-
-/// Takes the folder for this program; `None` where there is none to take yet.
-fn lock(folder: &Path) -> Result<Option<File>, SpoolError> {
-    let made = std::fs::create_dir_all(folder)
-        .and_then(|()| File::options().create(true).append(true).open(folder.join("lock")));
-    let Ok(file) = made else { return Ok(None) };
-    match file.try_lock() {
-        Ok(()) => Ok(Some(file)),
-        Err(std::fs::TryLockError::WouldBlock) => Err(SpoolError::InUse(folder.to_owned())),
-        Err(std::fs::TryLockError::Error(_)) => Ok(None),
     }
 }
 

@@ -1,0 +1,131 @@
+//! Windows onto the disk: appends, segments, and room for them.
+
+use super::record::{Checkpoint, MAX_KEYS, Record};
+use super::recovery::lock;
+use super::segment::{SEGMENT, Segment};
+use super::{Entry, Place, Spool};
+use std::io;
+
+impl Spool {
+    /// Writes what only the memory holds, oldest first, with what was acknowledged.
+    pub(super) fn save(&mut self) {
+        if self.folder.is_none() {
+            return;
+        }
+        while let unsaved @ 1.. = self.in_memory_count() {
+            if let Err(error) = self.save_entry(self.entries.len() - unsaved) {
+                self.refuse(&error);
+                return;
+            }
+        }
+    }
+
+    pub(super) fn save_entry(&mut self, index: usize) -> io::Result<()> {
+        let Entry { key, place: Place::Memory(message), .. } = &self.entries[index] else {
+            return Ok(());
+        };
+        let (key, record) = (*key, Record::Window { key: *key, message: message.clone() });
+        let mut bytes = Vec::new();
+        record.write(&mut bytes).ok_or(io::ErrorKind::InvalidData)?;
+        self.make_room(key, bytes.len() + MAX_KEYS * 8 + 9)?;
+        self.write_taken(&mut bytes);
+        let (segment, offset) = self.append(&bytes)?;
+        // Making room may have removed older ones.
+        if let Some(index) = self.find(key) {
+            self.entries[index].place = Place::Disk { segment, offset };
+        }
+        Ok(())
+    }
+
+    /// Adds a record of acknowledgements to `bytes`, for as many as one holds.
+    pub(super) fn write_taken(&mut self, bytes: &mut Vec<u8>) {
+        let keys: Vec<_> = self.taken.iter().copied().take(MAX_KEYS).collect();
+        if !keys.is_empty() && Record::Acknowledged(keys.clone()).write(bytes).is_some() {
+            // Should the append fail they come again, once, after a crash.
+            keys.iter().for_each(|key| _ = self.taken.remove(key));
+        }
+    }
+
+    pub(super) fn append(&mut self, bytes: &[u8]) -> io::Result<(u64, usize)> {
+        let mut last = self.segments.last_entry().ok_or(io::ErrorKind::NotFound)?;
+        if !last.get().has_room(bytes.len()) {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        let offset = last.get_mut().append(bytes)?;
+        self.counts.written_bytes += bytes.len() as u64;
+        self.counts.syncs += 1;
+        Ok((*last.key(), offset))
+    }
+
+    /// Sees to a segment with room for `len` bytes, by a new one where it must.
+    pub(super) fn make_room(&mut self, key: u64, len: usize) -> io::Result<()> {
+        let last = self.segments.values().next_back();
+        if self.writable && last.is_some_and(|last| last.has_room(len)) {
+            return Ok(());
+        }
+        let folder = self.folder.clone().ok_or(io::ErrorKind::NotFound)?;
+        while self.segments.len() >= self.max_segments {
+            self.drop_oldest();
+        }
+        if self.lock.is_none() {
+            self.lock = lock(&folder).map_err(io::Error::other)?;
+        }
+        let head = Record::Checkpoint(self.checkpoint(key));
+        let made = Segment::create(&folder, key, &head)?;
+        self.counts.written_bytes += SEGMENT as u64;
+        self.counts.syncs += 2;
+        self.segments.insert(key, made);
+        self.writable = true;
+        self.sweep();
+        Ok(())
+    }
+
+    /// The numbers that the disk may know before the window with `key` is on it: were they
+    /// ahead of it, a crash between the two would leave a gap.
+    pub(super) fn checkpoint(&self, key: u64) -> Checkpoint {
+        let mut last_seq = self.next.last_seq.clone();
+        for entry in self.entries.iter().rev() {
+            if let Place::Memory(message) = &entry.place
+                && let Some((_, last)) = last_seq.iter_mut().find(|(s, _)| *s == entry.window_s)
+            {
+                *last = message.seq - 1;
+            }
+        }
+        Checkpoint { next_key: key, last_seq }
+    }
+
+    /// The disk has refused: nothing more goes into this segment.
+    pub(super) fn refuse(&mut self, error: &io::Error) {
+        if self.writable || self.in_memory_count() == 1 {
+            log::error!("spool: {error}; windows are kept in memory until the disk takes them");
+        }
+        self.writable = false;
+    }
+
+    /// Removes segments in which nothing waits, from the oldest on: a later one may hold
+    /// acknowledgements of an earlier. The newest stays, it has the numbers to go on with.
+    pub(super) fn sweep(&mut self) {
+        while self.segments.len() > 1
+            && let Some((&first, _)) = self.segments.first_key_value()
+        {
+            let on_it = |entry: &Entry| match entry.place {
+                Place::Disk { segment, .. } => segment == first,
+                Place::Memory(_) => false,
+            };
+            // Entries are in the order of their segments.
+            if self.entries.front().is_some_and(on_it) {
+                return;
+            }
+            let Some((_, segment)) = self.segments.pop_first() else { return };
+            remove(segment);
+            let next = self.segments.first_key_value().map_or(u64::MAX, |(&next, _)| next);
+            self.taken.retain(|&key| key >= next);
+        }
+    }
+}
+
+pub(super) fn remove(segment: Segment) {
+    if let Err(error) = segment.remove() {
+        log::warn!("spool: a segment that is done with cannot be removed: {error}");
+    }
+}

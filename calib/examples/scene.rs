@@ -2,7 +2,7 @@
 //! the results and the command of each).
 //!
 //! ```text
-//! scene moves SCENE [CASES]  moves of 2 % or 2 degrees, by day, at night, in rain
+//! scene moves SCENE [CASES [LIGHT]]  moves of 2 % or 2 degrees, by day, at night, in rain
 //! scene day [FROM HOURS]   a day, or hours of it, with traffic, changing light, 2 px of shake
 //! scene density            density with and without shake, and with it uncorrected
 //! scene cameras DIR        pictures NAME-*.jpg of several fixed cameras, each against all
@@ -35,7 +35,9 @@ fn main() {
     let number =
         |at, default| arguments.get(at).map_or(default, |n: &String| n.parse().expect("a number"));
     match arguments.first().map(String::as_str) {
-        Some("moves") => moves(&arguments[1], number(2, 51)),
+        Some("moves") => {
+            moves(&arguments[1], number(2, 51), arguments.get(3).map(String::as_str));
+        }
         Some("day") => day(number(1, 0), number(2, 24)),
         Some("density") => density(),
         Some("cameras") => cameras(arguments[1].as_ref()),
@@ -79,8 +81,9 @@ fn eye_of(scene: &Scene) -> HeapEye {
     eye(scene.camera.width, scene.camera.height)
 }
 
-/// Moves of random direction: of four kinds, 2 % of the width or 2 degrees.
-fn moves(name: &str, cases: usize) {
+/// Moves of random direction: of three kinds, 2 % of the width or 2 degrees; in every light or
+/// in the named one.
+fn moves(name: &str, cases: usize, only: Option<&str>) {
     println!("| scene | light | move | cases | flagged within 2 min | slowest, s |");
     println!("|---|---|---|---|---|---|");
     let lights = [
@@ -92,7 +95,7 @@ fn moves(name: &str, cases: usize) {
     let kinds = ["2 % of the width", "2 degrees of pan or tilt", "2 degrees of roll"];
     let (mut total, mut flagged) = (0, 0);
     let known: Vec<Reference> = (0..4).map(|seed| reference_of(name, 500 + seed)).collect();
-    for (light, changes) in &lights {
+    for (light, changes) in lights.iter().filter(|(light, _)| only.is_none_or(|o| o == *light)) {
         for (kind, said) in kinds.iter().enumerate() {
             let share = cases / kinds.len();
             let (mut hits, mut slowest) = (0, 0.0_f64);

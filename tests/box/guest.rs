@@ -1,18 +1,28 @@
 //! What the box's shell cannot say to the kernel: a control of a camera, a word to a sensor,
-//! a thread that is to stand still.
+//! a thread that is to stand still, pictures to a camera that plays them.
 //!
 //! Compiled by `run` with nothing but the compiler:
 //!
 //!     guest control /dev/video0 0x00f0f040 100
 //!     guest word /dev/i2c-0 0x48 0x00 0x8019
 //!     guest hang 123
+//!     guest play /dev/video9 320 240 5000 a.jpg b.jpg
 
-use std::fs::OpenOptions;
-use std::io::Error;
+use std::fs::{File, OpenOptions};
+use std::io::{Error, Write};
 use std::os::fd::AsRawFd;
+use std::time::{Duration, Instant};
 
 /// `VIDIOC_S_CTRL`: `_IOWR('V', 28, struct v4l2_control)`.
 const S_CTRL: u64 = 0xc008_561c;
+/// `VIDIOC_S_FMT`: `_IOWR('V', 5, struct v4l2_format)`.
+const S_FMT: u64 = 0xc0d0_5605;
+/// `V4L2_BUF_TYPE_VIDEO_OUTPUT`, `V4L2_FIELD_NONE`, and the format of JPEG after JPEG.
+const OUTPUT: u32 = 2;
+const FIELD_NONE: u32 = 1;
+const MJPG: u32 = u32::from_le_bytes(*b"MJPG");
+/// Time between two frames of a played camera.
+const FRAME_TIME: Duration = Duration::from_millis(200);
 /// `I2C_SLAVE_FORCE`: also where a driver holds the address.
 const I2C_SLAVE_FORCE: u64 = 0x0706;
 /// `I2C_SMBUS`.
@@ -32,6 +42,19 @@ unsafe extern "C" {
 struct Control {
     id: u32,
     value: i32,
+}
+
+/// `struct v4l2_format` with the beginning of its `v4l2_pix_format`.
+#[repr(C, align(8))]
+struct Format {
+    kind: u64,
+    width: u32,
+    height: u32,
+    pixels: u32,
+    field: u32,
+    line_bytes: u32,
+    picture_bytes: u32,
+    rest: [u32; 44],
 }
 
 #[repr(C)]
@@ -54,6 +77,34 @@ fn ok(outcome: i32, what: &str) {
     assert!(outcome >= 0, "{what}: {}", Error::last_os_error());
 }
 
+/// Plays pictures for ever as a camera's MJPG: each stands for `milliseconds`, in which it is
+/// sent as often as a camera would.
+fn play(device: &mut File, [width, height, milliseconds]: [u32; 3], files: &[&str]) -> ! {
+    let pictures: Vec<Vec<u8>> = files
+        .iter()
+        .map(|file| std::fs::read(file).unwrap_or_else(|e| panic!("{file}: {e}")))
+        .collect();
+    let mut format = Format {
+        kind: u64::from(OUTPUT),
+        width,
+        height,
+        pixels: MJPG,
+        field: FIELD_NONE,
+        line_bytes: 0,
+        picture_bytes: width * height * 2,
+        rest: [0; 44],
+    };
+    // SAFETY: the request takes a v4l2_format, which lives through the call.
+    ok(unsafe { ioctl(device.as_raw_fd(), S_FMT, &raw mut format) }, "VIDIOC_S_FMT");
+    let begun = Instant::now();
+    loop {
+        let number = begun.elapsed().as_millis() / u128::from(milliseconds);
+        let picture = &pictures[number as usize % pictures.len()];
+        device.write_all(picture).unwrap_or_else(|error| panic!("a picture: {error}"));
+        std::thread::sleep(FRAME_TIME);
+    }
+}
+
 /// Stops a thread for as long as this program lives.
 fn hang(thread: i32) -> ! {
     for request in [SEIZE, INTERRUPT] {
@@ -74,7 +125,7 @@ fn main() {
     }
     let [what, path, numbers @ ..] = &arguments[..] else { panic!("guest WHAT DEVICE NUMBER...") };
     let device = OpenOptions::new().read(true).write(true).open(path);
-    let device = device.unwrap_or_else(|error| panic!("{path}: {error}"));
+    let mut device = device.unwrap_or_else(|error| panic!("{path}: {error}"));
     let fd = device.as_raw_fd();
     match (*what, numbers) {
         ("control", [id, value]) => {
@@ -97,6 +148,9 @@ fn main() {
             // SAFETY: the request takes an i2c_smbus_ioctl_data; it and its data live through.
             ok(unsafe { ioctl(fd, I2C_SMBUS, &raw mut write) }, "I2C_SMBUS");
         }
-        _ => panic!("guest control|word DEVICE NUMBER..., guest hang THREAD"),
+        ("play", [width, height, milliseconds, files @ ..]) => {
+            play(&mut device, [width, height, milliseconds].map(|n| number(n)), files);
+        }
+        _ => panic!("guest control|word|play DEVICE NUMBER..., guest hang THREAD"),
     }
 }

@@ -109,6 +109,12 @@ pub fn same_shape((width, height): (u32, u32), wanted: (u32, u32)) -> bool {
     (aspect(width, height) / aspect(wanted.0, wanted.1) - 1.0).abs() < MAX_SHAPE_ERROR
 }
 
+/// The value nearest to `wanted` in a range with steps.
+pub fn stepped(wanted: u32, least: u32, most: u32, step: u32) -> u32 {
+    let wanted = wanted.clamp(least, most.max(least));
+    least + (wanted - least).next_multiple_of(step.max(1)).min(most.max(least) - least)
+}
+
 /// Sizes that cover the wanted one by rising area, then the others by falling area.
 fn size_rank((width, height): (u32, u32), wanted: (u32, u32)) -> (bool, i64) {
     let covers = width >= wanted.0 && height >= wanted.1;
@@ -221,5 +227,13 @@ mod tests {
         assert_eq!(least_rate(Duration::from_secs(120)), 5.0);
         assert_eq!(least_rate(Duration::from_millis(100)), 20.0);
         assert!(least_rate(Duration::ZERO).is_finite());
+    }
+
+    #[test]
+    fn steps_are_kept() {
+        assert_eq!(stepped(640, 48, 1920, 2), 640);
+        assert_eq!(stepped(641, 48, 1920, 16), 656);
+        assert_eq!(stepped(9, 48, 1920, 0), 48);
+        assert_eq!(stepped(4000, 48, 1920, 16), 1920);
     }
 }

@@ -13,7 +13,7 @@
 
 use super::backoff::{Backoff, LONGEST_AT_THE_BOX};
 use super::device::{DeviceError, DeviceSettings};
-use super::negotiate::{self, Choice, Encoding, FrameTime, Offer};
+use super::negotiate::{self, Choice, Encoding, FrameTime, Offer, stepped};
 use super::pixels::{self, Colour, Layout};
 use super::queue::{BUFFERS, Question, Sequence};
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE, StreamCounts, decode};
@@ -301,12 +301,6 @@ fn offers(device: &Device, settings: &DeviceSettings) -> Result<Vec<Offer>, Capt
     Ok(offers)
 }
 
-/// The value nearest to `wanted` in a range with steps.
-fn stepped(wanted: u32, least: u32, most: u32, step: u32) -> u32 {
-    let wanted = wanted.clamp(least, most.max(least));
-    least + (wanted - least).next_multiple_of(step.max(1)).min(most.max(least) - least)
-}
-
 fn times(device: &Device, fourcc: FourCC, (width, height): (u32, u32)) -> Vec<FrameTime> {
     let time = |f: Fraction| FrameTime { numerator: f.numerator, denominator: f.denominator };
     let listed = device.enum_frameintervals(fourcc, width, height).unwrap_or_default();
@@ -396,13 +390,5 @@ mod tests {
         let error = guarded(&camera.settings, "opening", || -> Result<(), _> { panic!("odd") });
         let text = error.expect_err("it panicked").to_string();
         assert!(text.contains("/dev/video0: opening"), "{text}");
-    }
-
-    #[test]
-    fn steps_are_kept() {
-        assert_eq!(stepped(640, 48, 1920, 2), 640);
-        assert_eq!(stepped(641, 48, 1920, 16), 656);
-        assert_eq!(stepped(9, 48, 1920, 0), 48);
-        assert_eq!(stepped(4000, 48, 1920, 16), 1920);
     }
 }

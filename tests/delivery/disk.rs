@@ -65,8 +65,6 @@ fn child_full() {
     // Full before the spool is made: the broker gets everything from memory.
     let filler = fill(&disk);
     let mut outlet = outlet(port, &disk.join("spool"), 1000.0);
-    let mut broker = mosquitto.start(port);
-    let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
     let mut accept = |outlet: &mut verge::daemon::Outlet, windows| {
         for _ in 0..windows {
             sent += 1;
@@ -75,7 +73,9 @@ fn child_full() {
         sent
     };
     accept(&mut outlet, 50);
-    assert_eq!(outlet.counts().in_memory, 50);
+    assert_eq!((outlet.counts().in_memory, outlet.counts().waiting), (50, 50));
+    let mut broker = mosquitto.start(port);
+    let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
     tend(&mut outlet, "from memory", |outlet| outlet.counts().waiting == 0);
     let mut arrived = Arrived::default();
     while arrived.times.len() < 50 {

@@ -18,6 +18,10 @@ pub const MAX_WINDOWS: usize = 6;
 pub const MIN_WINDOW_S: u64 = 10;
 /// Longest window, s (15 min, the longest that traffic centres exchange).
 pub const MAX_WINDOW_S: u64 = 900;
+/// A clock that is set back by more was wrong before: windows begin anew. For less the line
+/// waits until the time has come that was reported already. An hour, as a clock errs that
+/// takes local time for UTC.
+pub const MAX_WAIT: Duration = Duration::from_secs(3600);
 
 /// How far a reading can be used: the values of NTCIP 1209 `sampleZoneStatus` in use here.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -217,8 +221,32 @@ struct Window {
     from: Option<UtcMs>,
     /// Slowest time between frames that it had.
     interval: Duration,
+    /// How much shorter it was than its length, ms: the clock was set forward. Negative: it
+    /// was set back, and showed a part of it twice.
+    skipped_ms: i64,
     series: [Series; MAX_LANES],
     fault: SampleZoneStatus,
+}
+
+impl Window {
+    fn new(length: Duration, from: Option<UtcMs>, interval: Duration) -> Self {
+        Self {
+            length,
+            from,
+            interval,
+            skipped_ms: 0,
+            series: Default::default(),
+            fault: Default::default(),
+        }
+    }
+
+    /// Frames that it has at the camera's rate.
+    fn expected(&self) -> u32 {
+        let length_ms = millis(self.length).saturating_sub(self.skipped_ms);
+        let interval_ms = millis(self.interval).max(1);
+        let expected = length_ms.saturating_add(interval_ms / 2).checked_div(interval_ms);
+        expected.map_or(1, |n| n.clamp(0, i64::from(u32::MAX)) as u32)
+    }
 }
 
 /// Turns counts of single frames into reports of windows.
@@ -256,14 +284,9 @@ impl Aggregator {
             if interval > length {
                 return Err(AggregateError::Interval { interval, window: length });
             }
-            let window = Window {
-                length,
-                from: None,
-                interval,
-                series: Default::default(),
-                fault: Default::default(),
-            };
-            windows.push(window).map_err(|_| AggregateError::WindowCount(window_lengths.len()))?;
+            windows
+                .push(Window::new(length, None, interval))
+                .map_err(|_| AggregateError::WindowCount(window_lengths.len()))?;
         }
         if windows.is_empty() {
             return Err(AggregateError::WindowCount(0));
@@ -321,20 +344,41 @@ impl Aggregator {
                 continue;
             };
             if time < from.saturating_add(window.length) {
+                if from.saturating_since(time) > MAX_WAIT {
+                    let next = aligned.saturating_add(window.length);
+                    *window = Window::new(window.length, Some(next), self.interval);
+                }
                 continue;
             }
-            let ended = core::mem::replace(
-                window,
-                Window {
-                    length: window.length,
-                    from: Some(aligned),
-                    interval: self.interval,
-                    series: Default::default(),
-                    fault: Default::default(),
-                },
-            );
+            let next = Window::new(window.length, Some(aligned), self.interval);
+            let ended = core::mem::replace(window, next);
+            // Of a window that the clock has leapt over there is nothing to report.
+            let is_empty = ended.series.iter().all(|series| series.n == 0);
+            if ended.expected() == 0 && is_empty {
+                continue;
+            }
             // One report a window and as many places as windows: there is always room.
             let _ = closed.push(self.report(&ended, from));
+        }
+        closed
+    }
+
+    /// Notes that the clock was set from `from`, to which windows were advanced, to `to`. Of
+    /// the time that never was no frames are missing, and of that which is there twice more
+    /// are expected. Returns the windows that it ends.
+    pub fn set_clock(&mut self, from: UtcMs, to: UtcMs) -> Closed {
+        for window in &mut self.windows {
+            let Some(begin) = window.from else { continue };
+            let end = begin.saturating_add(window.length).min(to);
+            let skipped = millis(end.saturating_since(begin.max(from)));
+            let twice = millis(from.saturating_since(begin.max(to)));
+            window.skipped_ms = window.skipped_ms.saturating_add(skipped).saturating_sub(twice);
+        }
+        let closed = self.advance(to);
+        for window in &mut self.windows {
+            if let Some(begin) = window.from.filter(|&begin| begin > from) {
+                window.skipped_ms = millis(to.saturating_since(begin));
+            }
         }
         closed
     }
@@ -356,9 +400,7 @@ impl Aggregator {
     }
 
     fn report(&self, window: &Window, from: UtcMs) -> WindowReport {
-        let (length_ms, interval_ms) = (millis(window.length), millis(window.interval).max(1));
-        let expected = length_ms.saturating_add(interval_ms / 2).checked_div(interval_ms);
-        let expected = expected.map_or(1, |n| n.clamp(1, i64::from(u32::MAX)) as u32);
+        let expected = window.expected().max(1);
         let mut lanes = heapless::Vec::new();
         for lane in &self.lanes {
             if let Some(series) = window.series.get(usize::from(lane.id.get()) - 1) {

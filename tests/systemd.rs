@@ -51,6 +51,7 @@ fn the_supervision_that_is_promised_stands_in_the_unit() {
     let text = fs::read_to_string(UNIT).expect("it ships");
     for line in [
         "Type=notify",
+        "ExecReload=/bin/kill -HUP $MAINPID",
         "WatchdogSec=30",
         "Restart=always",
         "RestartSec=5",

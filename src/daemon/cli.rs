@@ -18,6 +18,10 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Measure as configured and publish until stopped
+    ///
+    /// SIGTERM and SIGINT stop it. SIGHUP makes it read configuration, lane tables and model
+    /// again; they take over when the running windows end, and where something is wrong with
+    /// them the old ones stay in force.
     Run {
         /// Configuration, TOML
         #[arg(long, value_name = "FILE")]

@@ -191,6 +191,11 @@ impl Presets {
         self.each(|preset| preset.aggregator.advance(time))
     }
 
+    /// Notes that the clock was set; closes the windows that it leaps over the end of.
+    pub fn set_clock(&mut self, from: UtcMs, to: UtcMs) -> Closed {
+        self.each(|preset| preset.aggregator.set_clock(from, to))
+    }
+
     /// Closes what runs, at the end of a recording.
     pub fn finish(&mut self) -> Closed {
         self.each(|preset| preset.aggregator.finish())

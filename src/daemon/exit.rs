@@ -3,7 +3,9 @@
 //! Owns the mapping from errors to exit codes (`sysexits.h`), so that a supervisor can tell
 //! a wrong file from a missing one without reading the message.
 
-use super::capture::{CaptureError, DeviceError, MjpegError, RecordingError, SnapshotError};
+use super::capture::{
+    CaptureError, DeviceError, MjpegError, RecordingError, SnapshotError, SourceError,
+};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
 use super::locate::LocateError;
@@ -175,6 +177,17 @@ impl Failure {
             Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,
             Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
+        }
+    }
+}
+
+impl From<SourceError> for Failure {
+    fn from(error: SourceError) -> Self {
+        match error {
+            SourceError::Recording(error) => error.into(),
+            SourceError::Snapshot(error) => error.into(),
+            SourceError::Mjpeg(error) => error.into(),
+            SourceError::Device(error) => error.into(),
         }
     }
 }

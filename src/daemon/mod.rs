@@ -27,7 +27,9 @@ mod notify;
 mod output;
 mod playback;
 pub mod publish;
+mod reload;
 pub mod scene;
+mod sensor;
 pub mod spool;
 
 pub use counting::Counting;
@@ -38,8 +40,8 @@ use crate::health::Event;
 use crate::lane::Description;
 use crate::units::UtcMs;
 use capture::{
-    Captured, Credentials, DEFAULT_SIZE, DeviceSettings, MJPEG_SCHEME, Mjpeg, MjpegSettings,
-    Recorded, Snapshot, SnapshotSettings, Source,
+    Captured, Credentials, DEFAULT_SIZE, DeviceSettings, MJPEG_SCHEME, MjpegSettings, Recorded,
+    SnapshotSettings, Source, SourceSettings,
 };
 use config::{Config, SourceKind};
 use counting::Presets;
@@ -243,6 +245,12 @@ impl Line {
         self.presets.advance(time)
     }
 
+    /// Notes that the clock was set, and closes the windows that it leaps over the end of. To
+    /// be called after [`Self::advance`] to `from`.
+    pub fn set_clock(&mut self, from: UtcMs, to: UtcMs) -> Closed {
+        self.presets.set_clock(from, to)
+    }
+
     /// Closes what runs, at the end of a recording.
     pub fn finish(&mut self) -> Closed {
         self.presets.finish()
@@ -316,6 +324,8 @@ fn open_detector(
 #[derive(Debug)]
 struct Station {
     source: Source,
+    /// What the source was opened with.
+    camera: Option<SourceSettings>,
     frame: Frame,
     line: Line,
 }
@@ -324,19 +334,35 @@ impl Station {
     /// The station of a configuration.
     fn open(config: &Config) -> Result<Self, Failure> {
         let line = open_line(config)?;
-        let source = open_camera(config, Some(&line))?;
-        Ok(Self { source, frame: Frame::default(), line })
+        let camera = camera(config, Some(&line))?;
+        let source = Source::open(camera.clone())?;
+        Ok(Self { source, camera: Some(camera), frame: Frame::default(), line })
     }
 
-    /// Takes a picture and measures it; `None` when it has the bytes of the one before.
-    fn turn(&mut self) -> Result<Option<Measured>, Failure> {
-        match self.source.next(&mut self.frame)? {
-            Captured::New => self.line.measure(&self.frame).map(Some),
-            Captured::Unchanged | Captured::End => Ok(None),
+    /// Takes a picture; false when it has the bytes of the one before.
+    fn capture(&mut self) -> Result<bool, Failure> {
+        Ok(self.source.next(&mut self.frame)? == Captured::New)
+    }
+
+    /// Measures the picture that was taken last.
+    fn measure(&mut self) -> Result<Measured, Failure> {
+        self.line.measure(&self.frame)
+    }
+
+    /// Replaces the line, and the camera where it is another one.
+    ///
+    /// # Errors
+    /// Where the camera cannot be set up; all is as it was then.
+    fn replace(&mut self, line: Line, camera: SourceSettings) -> Result<(), Failure> {
+        if self.camera.as_ref() != Some(&camera) {
+            self.source = Source::open(camera.clone())?;
+            self.camera = Some(camera);
         }
+        self.line = line;
+        Ok(())
     }
 
-    /// The same, timed; for a recording that is played for ever.
+    /// Takes and measures a picture, timed; for a recording that is played for ever.
     fn turn_timed(&mut self) -> Result<StageTimes, Failure> {
         let begun = Instant::now();
         self.source.next(&mut self.frame)?;
@@ -349,45 +375,41 @@ impl Station {
 fn open_endless(settings: &LineSettings, frames: &Path) -> Result<Station, Failure> {
     let (recorded, line) = open_recording(settings, frames, None)?;
     let source = Source::Recorded(recorded.for_ever());
-    Ok(Station { source, frame: Frame::default(), line })
+    Ok(Station { source, camera: None, frame: Frame::default(), line })
 }
 
 /// The first picture of a configuration's camera, in the shape of the line's table.
 fn first_picture(config: &Config, line: Option<&Line>) -> Result<Frame, Failure> {
     let mut frame = Frame::default();
-    open_camera(config, line)?.next(&mut frame)?;
+    Source::open(camera(config, line)?)?.next(&mut frame)?;
     Ok(frame)
 }
 
 /// The camera of a configuration, asked for pictures in the shape of the line's table.
-fn open_camera(config: &Config, line: Option<&Line>) -> Result<Source, Failure> {
+fn camera(config: &Config, line: Option<&Line>) -> Result<SourceSettings, Failure> {
     let (source, interval) = (&config.camera.source, config.interval());
     let timeout = Duration::from_secs_f64(config.camera.timeout_s);
     let credentials = || -> Result<_, Failure> {
         Ok(config.camera_secret()?.map(|(user, password)| Credentials { user, password }))
     };
-    match config.camera.kind() {
-        SourceKind::Folder => {
-            let recorded = Recorded::open(Path::new(source), Some(interval))?;
-            Ok(Source::Recorded(recorded.for_ever()))
-        }
+    Ok(match config.camera.kind() {
+        SourceKind::Folder => SourceSettings::Recorded { folder: source.into(), interval },
         SourceKind::Device => {
             let size = line.map(|line| line.counting().table().image_size);
             let size =
                 size.map_or(DEFAULT_SIZE, |size| (u32::from(size.width), u32::from(size.height)));
-            Ok(Source::device(DeviceSettings { path: source.into(), size, interval, timeout })?)
+            SourceSettings::Device(DeviceSettings { path: source.into(), size, interval, timeout })
         }
         SourceKind::Mjpeg => {
             let url = source.strip_prefix(MJPEG_SCHEME).unwrap_or(source).to_owned();
-            let settings = MjpegSettings { url, credentials: credentials()?, interval, timeout };
-            Ok(Source::Mjpeg(Box::new(Mjpeg::new(settings)?)))
+            let credentials = credentials()?;
+            SourceSettings::Mjpeg(MjpegSettings { url, credentials, interval, timeout })
         }
         SourceKind::Snapshot => {
             let (url, credentials) = (source.clone(), credentials()?);
-            let settings = SnapshotSettings { url, credentials, interval, timeout };
-            Ok(Source::Snapshot(Box::new(Snapshot::new(settings)?)))
+            SourceSettings::Snapshot(SnapshotSettings { url, credentials, interval, timeout })
         }
-    }
+    })
 }
 
 /// The line of a configuration.
@@ -460,6 +482,20 @@ impl Outlet {
         if self.publisher.live(key, &message) {
             self.spool.give(key);
         }
+    }
+
+    /// From here on windows are another line's, and go to this broker; what waits and the
+    /// numbers go on. The spool keeps `windows` of them.
+    pub fn change(
+        &mut self,
+        broker: MqttSettings,
+        format: Format,
+        identity: Identity,
+        windows: u64,
+    ) {
+        self.identity = identity;
+        self.spool.keep(windows);
+        self.publisher.change(broker, format);
     }
 
     /// Hears what the broker has taken and sends what an outage has left; to be called a few

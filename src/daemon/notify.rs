@@ -1,8 +1,9 @@
-//! Words to the service manager: ready, alive, stopping (`sd_notify(3)`).
+//! Words to the service manager: ready, alive, reloading, stopping (`sd_notify(3)`).
 //!
 //! Owns the datagrams. Without `NOTIFY_SOCKET` all of it does nothing, so that the same
 //! program runs by hand. What is said never stops the measurement.
 
+use super::clock;
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::UnixDatagram;
@@ -38,6 +39,12 @@ impl Notify {
     /// The line is open and its first turn is done.
     pub fn ready(&mut self) {
         self.send("READY=1");
+    }
+
+    /// The configuration is being read again; [`Self::ready`] ends it.
+    pub fn reloading(&mut self) {
+        let now = clock::monotonic().as_micros();
+        self.send(&format!("RELOADING=1\nMONOTONIC_USEC={now}"));
     }
 
     /// A turn of the loop has ended. To be called there and nowhere else.
@@ -108,9 +115,14 @@ mod tests {
             notify.alive();
             notify.status("oK\nall is well");
         }
+        notify.reloading();
         notify.stopping();
-        let expected = ["READY=1", "WATCHDOG=1", "STATUS=oK all is well", "STOPPING=1"];
+        let expected = ["READY=1", "WATCHDOG=1", "STATUS=oK all is well"];
         assert_eq!(expected.map(|_| received(&manager)), expected);
+        let reloading = received(&manager);
+        let time = reloading.strip_prefix("RELOADING=1\nMONOTONIC_USEC=").expect("its two words");
+        assert!(time.parse::<u64>().is_ok(), "{reloading}");
+        assert_eq!(received(&manager), "STOPPING=1");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::time::Duration;
 pub const DEFAULT_SIZE: (u32, u32) = (640, 480);
 
 /// Which device is read, and how.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceSettings {
     /// The device node. A name under `/dev/v4l/by-id` or `by-path` stays when the camera
     /// comes back under another number.

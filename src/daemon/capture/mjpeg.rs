@@ -23,7 +23,7 @@ use ureq::http::{Uri, header};
 pub const SCHEME: &str = "mjpeg+";
 
 /// How to ask a camera for its stream.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MjpegSettings {
     /// Address of the stream, `http://` or `https://`.
     pub url: String,

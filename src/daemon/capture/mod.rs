@@ -91,6 +91,41 @@ impl CaptureError {
     }
 }
 
+/// Which camera is asked for pictures, and how.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SourceSettings {
+    /// A folder of pictures that is played for ever, one each `interval`.
+    Recorded {
+        /// The folder.
+        folder: PathBuf,
+        /// Time between two pictures.
+        interval: Duration,
+    },
+    /// See [`Snapshot`].
+    Snapshot(SnapshotSettings),
+    /// See [`Mjpeg`].
+    Mjpeg(MjpegSettings),
+    /// A camera at the box.
+    Device(DeviceSettings),
+}
+
+/// Why a source cannot be set up. A camera that is away is no such reason.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// The recording.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// The camera's address.
+    #[error(transparent)]
+    Snapshot(#[from] SnapshotError),
+    /// The address of the camera's stream.
+    #[error(transparent)]
+    Mjpeg(#[from] MjpegError),
+    /// The camera's device.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
 /// Where pictures come from.
 #[derive(Debug)]
 pub enum Source {
@@ -106,6 +141,24 @@ pub enum Source {
 }
 
 impl Source {
+    /// The source of these settings. No camera is asked yet: it may be absent now and come
+    /// later.
+    ///
+    /// # Errors
+    /// [`SourceError`] where the settings cannot be right.
+    pub fn open(settings: SourceSettings) -> Result<Self, SourceError> {
+        Ok(match settings {
+            SourceSettings::Recorded { folder, interval } => {
+                Self::Recorded(Recorded::open(&folder, Some(interval))?.for_ever())
+            }
+            SourceSettings::Snapshot(settings) => {
+                Self::Snapshot(Box::new(Snapshot::new(settings)?))
+            }
+            SourceSettings::Mjpeg(settings) => Self::Mjpeg(Box::new(Mjpeg::new(settings)?)),
+            SourceSettings::Device(settings) => Self::device(settings)?,
+        })
+    }
+
     /// A camera at the box. It may be absent now and come later.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ use ureq::http::header::{self, HeaderMap, HeaderValue};
 const MAX_REDIRECTS: u32 = 3;
 
 /// User and password for the camera.
-#[derive(Clone)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct Credentials {
     /// User name.
     pub user: String,
@@ -32,7 +32,7 @@ impl std::fmt::Debug for Credentials {
 }
 
 /// How to ask a camera for its picture.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SnapshotSettings {
     /// Address of the picture, `http://` or `https://`.
     pub url: String,

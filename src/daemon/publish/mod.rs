@@ -146,6 +146,15 @@ impl Publisher {
         }
     }
 
+    /// From here on publishes to this broker, in this format. A connection to another one, or
+    /// with other words, begins when the old one has said goodbye.
+    pub fn change(&mut self, settings: MqttSettings, format: Format) {
+        self.root = settings.root.clone();
+        self.format = format;
+        self.replay_per_s = settings.replay_per_s;
+        self.connection.change(settings, DRAIN);
+    }
+
     /// Whether a session is open.
     pub fn is_open(&self) -> bool {
         self.session.is_some()

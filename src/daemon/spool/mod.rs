@@ -137,10 +137,8 @@ impl Spool {
     /// # Errors
     /// [`SpoolError::InUse`] and [`SpoolError::Version`].
     pub fn open(folder: &Path, windows: u64) -> Result<Self, SpoolError> {
-        let per_segment = (SEGMENT / record::MAX_RECORD - 1) as u64;
         let mut spool = Self::in_memory();
-        // One more: the oldest goes when the newest is full.
-        spool.max_segments = usize::try_from(windows.div_ceil(per_segment) + 1).unwrap_or(2);
+        spool.keep(windows);
         spool.folder = Some(folder.to_owned());
         spool.lock = lock(folder)?;
         match spool.recover(folder) {
@@ -150,6 +148,14 @@ impl Spool {
             outcome => outcome?,
         }
         Ok(spool)
+    }
+
+    /// From here on it holds `windows` of the largest size; where it holds more, the oldest
+    /// go when the next segment is made.
+    pub fn keep(&mut self, windows: u64) {
+        let per_segment = (SEGMENT / record::MAX_RECORD - 1) as u64;
+        // One more: the oldest goes when the newest is full.
+        self.max_segments = usize::try_from(windows.div_ceil(per_segment) + 1).unwrap_or(2);
     }
 
     /// A spool without a disk, for recordings.

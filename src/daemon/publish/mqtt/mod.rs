@@ -36,7 +36,7 @@ pub enum MqttVersion {
 }
 
 /// Where the broker is, and who we are to it.
-#[derive(Clone)]
+#[derive(Clone, PartialEq)]
 pub struct MqttSettings {
     /// Host name or address.
     pub host: String,
@@ -164,6 +164,12 @@ impl Connection {
 
     pub(super) fn refused(&self) -> u64 {
         self.statistics.refused.load(Ordering::Relaxed)
+    }
+
+    /// Connects with these settings instead, where they differ: says goodbye when what there
+    /// is was delivered, or after `within`.
+    pub(super) fn change(&self, settings: MqttSettings, within: Duration) {
+        self.command(Command::Change { settings: Box::new(settings), within });
     }
 
     /// Ends the thread when it has delivered what it has, or after `within`; returns the

@@ -6,6 +6,7 @@ use rumqttc::{TlsConfiguration, Transport};
 use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ClientConfig, RootCertStore};
+use sha2::{Digest, Sha256};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -46,7 +47,17 @@ pub struct TlsFiles {
 
 /// How a connection is secured.
 #[derive(Clone)]
-pub struct Tls(Arc<ClientConfig>);
+pub struct Tls {
+    config: Arc<ClientConfig>,
+    /// Of the files: a renewed certificate is another.
+    digest: [u8; 32],
+}
+
+impl PartialEq for Tls {
+    fn eq(&self, other: &Self) -> bool {
+        self.digest == other.digest
+    }
+}
 
 impl fmt::Debug for Tls {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -86,12 +97,24 @@ impl Tls {
                     .map_err(|error| unfit("certificate_file", error))?
             }
         };
-        Ok(Self(Arc::new(config)))
+        Ok(Self { config: Arc::new(config), digest: digest(files) })
     }
 
     pub(super) fn transport(&self) -> Transport {
-        Transport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&self.0)))
+        Transport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&self.config)))
     }
+}
+
+/// What the files hold. They can be read: they were, a moment ago.
+fn digest(files: &TlsFiles) -> [u8; 32] {
+    let (certificate, key) = files.identity.as_ref().map(|(c, k)| (c, k)).unzip();
+    let mut digest = Sha256::new();
+    for file in [files.ca.as_ref(), certificate, key] {
+        let bytes = file.and_then(|file| std::fs::read(file).ok()).unwrap_or_default();
+        digest.update(bytes.len().to_le_bytes());
+        digest.update(bytes);
+    }
+    digest.finalize().into()
 }
 
 fn certificates(key: &'static str, path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {

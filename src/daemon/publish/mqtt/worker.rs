@@ -24,6 +24,7 @@ const MAX_STATES: usize = 128;
 pub(super) enum Command {
     State(Message),
     Window { session: u64, key: u64, live: bool, message: Message },
+    Change { settings: Box<MqttSettings>, within: Duration },
     Stop { within: Duration },
 }
 
@@ -65,6 +66,8 @@ pub(super) struct Worker {
     /// Windows of an outage: they go when nothing else waits.
     arrears: VecDeque<Sending>,
     in_flight: VecDeque<Sending>,
+    /// What to connect with next, when this connection is done or at that time.
+    change: Option<(Box<MqttSettings>, Instant)>,
     stop_at: Option<Instant>,
 }
 
@@ -85,6 +88,7 @@ impl Worker {
             queue: VecDeque::new(),
             arrears: VecDeque::new(),
             in_flight: VecDeque::new(),
+            change: None,
             stop_at: None,
         }
     }
@@ -97,6 +101,11 @@ impl Worker {
             self.end_session();
             if self.stop_at.is_some() {
                 return;
+            }
+            if let Some((settings, _)) = self.change.take() {
+                self.settings = *settings;
+                self.backoff.reset();
+                continue;
             }
             let wait = self.backoff.wait(&mut random);
             let MqttSettings { host, port, .. } = &self.settings;
@@ -165,10 +174,11 @@ impl Worker {
         }
     }
 
-    /// Whether a stop was asked for, and everything is delivered or the time is up.
+    /// Whether the connection is to end, and everything is delivered or the time is up.
     fn is_done(&self) -> bool {
         let delivered = self.in_flight.is_empty() && self.queue.is_empty();
-        self.stop_at.is_some_and(|stop_at| delivered || Instant::now() >= stop_at)
+        let end = self.stop_at.or(self.change.as_ref().map(|&(_, at)| at));
+        end.is_some_and(|end| delivered || Instant::now() >= end)
     }
 
     fn transmit(&mut self, link: &Link, kind: Kind, message: Message) {
@@ -236,10 +246,10 @@ impl Worker {
         }
     }
 
-    /// Takes new commands for `wait`, or until a stop is asked for.
+    /// Takes new commands for `wait`, or until a stop or a change is asked for.
     fn rest(&mut self, wait: Duration) {
         let until = Instant::now() + wait;
-        while self.stop_at.is_none() {
+        while self.stop_at.is_none() && self.change.is_none() {
             let left = until.saturating_duration_since(Instant::now());
             match self.commands.recv_timeout(left) {
                 Ok(command) => self.accept(command),
@@ -251,6 +261,10 @@ impl Worker {
     fn accept(&mut self, command: Command) {
         match command {
             Command::Stop { within } => self.stop_at = Some(Instant::now() + within),
+            Command::Change { settings, .. } if *settings == self.settings => self.change = None,
+            Command::Change { settings, within } => {
+                self.change = Some((settings, Instant::now() + within));
+            }
             Command::State(message) => self.keep_state(message),
             // Of a session that has ended: the spool gives it again.
             Command::Window { session, .. } if session != self.session => {}

@@ -144,7 +144,7 @@ fn along_the_road(summary: &Summary) -> Drawing {
     let top = highest * (1.1 + 0.08 * lanes.len() as f64);
     let mut axes = Axes::new([WIDTH, 320], [0.0, end], [0.0, top]);
     let title = format!("{}: mean density along the road", summary.site);
-    axes.labels(&title, ["from each lane's upstream end, m", DENSITY]);
+    axes.labels(&title, ["from upstream end, m", DENSITY]);
     for (row, (lane, points)) in curves.iter().enumerate() {
         axes.curve(points, 2.0, LANE_COLOURS[*lane]);
         axes.key(row, &format!("lane {}", lane + 1), LANE_COLOURS[*lane]);

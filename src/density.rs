@@ -5,11 +5,18 @@
 //! from or where reports go.
 //!
 //! Density is k = N / L (Hu et al., Eq. 1): the mean number of vehicles over the frames
-//! of a window, divided by the lane's length.
+//! of a window, divided by the lane's length. The same is told of each cell of the lane.
+
+mod cells;
+mod counts;
+
+pub use cells::{Cells, Division, MAX_LANE_CELLS};
+pub use counts::FrameCounts;
 
 use crate::lane::Lane;
 use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass, millis};
 use core::time::Duration;
+use counts::Series;
 use serde::{Deserialize, Serialize};
 
 /// Most windows that run side by side: 10 s, 60 s, 5 min, 15 min and two more.
@@ -39,93 +46,6 @@ pub enum SampleZoneStatus {
     DetectionAutoSuspended,
 }
 
-/// What one frame shows in one lane.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct LaneCount {
-    by_class: [u16; VehicleClass::COUNT],
-    occupied_m: f32,
-}
-
-/// The vehicles of one frame, counted by lane and class.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct FrameCounts {
-    lanes: [LaneCount; MAX_LANES],
-}
-
-impl FrameCounts {
-    /// Counts one vehicle.
-    pub fn add(&mut self, lane: LaneId, class: VehicleClass) {
-        let Some(count) = self.lanes.get_mut(usize::from(lane.get()) - 1) else { return };
-        count.occupied_m += class.nominal_length_m();
-        if let Some(n) = count.by_class.get_mut(class.index()) {
-            *n = n.saturating_add(1);
-        }
-    }
-
-    /// Vehicles in that lane.
-    pub fn vehicles(&self, lane: LaneId) -> u32 {
-        let count = self.lanes.get(usize::from(lane.get()) - 1);
-        count.map_or(0, |c| c.by_class.iter().map(|&n| u32::from(n)).sum())
-    }
-}
-
-/// Sums over a window's frames, enough for mean, variance and lag-one correlation.
-#[derive(Clone, Copy, Debug, Default)]
-struct Series {
-    n: u32,
-    sum: f32,
-    sum_squares: f32,
-    sum_lag_one: f32,
-    first: f32,
-    last: f32,
-    by_class: [f32; VehicleClass::COUNT],
-    occupied_m: f32,
-}
-
-impl Series {
-    fn push(&mut self, count: &LaneCount) {
-        let x: f32 = count.by_class.iter().map(|&n| f32::from(n)).sum();
-        if self.n == 0 {
-            self.first = x;
-        } else {
-            self.sum_lag_one += self.last * x;
-        }
-        self.n = self.n.saturating_add(1);
-        self.sum += x;
-        self.sum_squares += x * x;
-        self.last = x;
-        self.occupied_m += count.occupied_m;
-        for (sum, &n) in self.by_class.iter_mut().zip(&count.by_class) {
-            *sum += f32::from(n);
-        }
-    }
-
-    /// Mean vehicles per frame and its standard error; `None` without a frame.
-    ///
-    /// The spread is the frames' own plus one pseudo-observation of a Poisson count
-    /// (mean + 1/2), so that two equal frames do not claim certainty. Frames close in
-    /// time repeat each other: the number of independent ones is n (1-r)/(1+r) for a
-    /// lag-one correlation r (Bayley and Hammersley 1946), with r corrected for its small
-    /// sample bias of -(1+3r)/n (Kendall 1954). Sampling error only: detection and
-    /// calibration have their own.
-    fn mean_and_error(&self) -> Option<(f32, f32)> {
-        if self.n == 0 {
-            return None;
-        }
-        let n = self.n as f32;
-        let mean = self.sum / n;
-        let squares = (self.sum_squares - n * mean * mean).max(0.0);
-        let lagged = self.sum_lag_one - mean * (2.0 * self.sum - self.first - self.last)
-            + (n - 1.0) * mean * mean;
-        let raw = if squares > 0.0 { lagged / squares } else { 0.0 };
-        let most = (n - 1.0) / (n + 1.0);
-        let correlation = (raw + (1.0 + 3.0 * raw) / n).max(0.0).min(most);
-        let independent = n * (1.0 - correlation) / (1.0 + correlation);
-        let variance = (squares + mean + 0.5) / n;
-        Some((mean, libm::sqrtf(variance / independent)))
-    }
-}
-
 /// One lane in one window. `None` where nothing can be said, never 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LaneReport {
@@ -151,6 +71,10 @@ pub struct LaneReport {
     pub frames_expected: u32,
     /// How far this reading can be used.
     pub status: SampleZoneStatus,
+    /// Density along the lane; `None` in messages from before it was measured. Not in the
+    /// postcard form of this type: `wire` writes it behind the rest of a message.
+    #[serde(skip)]
+    pub cells: Option<Cells>,
 }
 
 /// All lanes in one window.
@@ -165,7 +89,7 @@ pub struct WindowReport {
 }
 
 /// Reports that one call closes, one a window at most.
-pub type Closed = heapless::Vec<WindowReport, MAX_WINDOWS>;
+pub type Closed<const W: usize = MAX_WINDOWS> = heapless::Vec<WindowReport, W>;
 
 /// What a line started in the middle of a window does with that window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -229,15 +153,22 @@ struct Window {
 }
 
 impl Window {
-    fn new(length: Duration, from: Option<UtcMs>, interval: Duration) -> Self {
+    fn new(length: Duration, interval: Duration) -> Self {
         Self {
             length,
-            from,
+            from: None,
             interval,
             skipped_ms: 0,
             series: Default::default(),
             fault: Default::default(),
         }
+    }
+
+    /// Begins anew.
+    fn begin(&mut self, from: UtcMs, interval: Duration) {
+        (self.from, self.interval, self.skipped_ms) = (Some(from), interval, 0);
+        self.series.fill(Series::default());
+        self.fault = SampleZoneStatus::default();
     }
 
     /// Frames that it has at the camera's rate.
@@ -249,18 +180,20 @@ impl Window {
     }
 }
 
-/// Turns counts of single frames into reports of windows.
+/// Turns counts of single frames into reports of at most `W` windows side by side. A window
+/// takes 1.5 KB, and its report 1.8 KB: a microcontroller has room for what it uses.
 #[derive(Clone, Debug)]
-pub struct Aggregator {
+pub struct Aggregator<const W: usize = MAX_WINDOWS> {
     lanes: heapless::Vec<Lane, MAX_LANES>,
-    windows: heapless::Vec<Window, MAX_WINDOWS>,
+    divisions: [Division; MAX_LANES],
+    windows: heapless::Vec<Window, W>,
     interval: Duration,
     min_completeness: f32,
     start: Start,
 }
 
-impl Aggregator {
-    /// An aggregator for `lanes` with windows of these lengths.
+impl<const W: usize> Aggregator<W> {
+    /// An aggregator for `lanes`, in cells of about `cell_m`, with windows of these lengths.
     ///
     /// `interval` is the time between frames; a window that got less than
     /// `min_completeness` (0 to 1) of its frames reports no density.
@@ -269,6 +202,7 @@ impl Aggregator {
     /// [`AggregateError`] where the windows cannot be kept or never filled.
     pub fn new(
         lanes: &heapless::Vec<Lane, MAX_LANES>,
+        cell_m: f32,
         window_lengths: &[Duration],
         interval: Duration,
         min_completeness: f32,
@@ -285,13 +219,25 @@ impl Aggregator {
                 return Err(AggregateError::Interval { interval, window: length });
             }
             windows
-                .push(Window::new(length, None, interval))
+                .push(Window::new(length, interval))
                 .map_err(|_| AggregateError::WindowCount(window_lengths.len()))?;
         }
         if windows.is_empty() {
             return Err(AggregateError::WindowCount(0));
         }
-        Ok(Self { lanes: lanes.clone(), windows, interval, min_completeness, start })
+        let mut divisions = [Division::default(); MAX_LANES];
+        for lane in lanes {
+            if let Some(division) = divisions.get_mut(usize::from(lane.id.get()) - 1) {
+                *division = Division::of(lane, cell_m);
+            }
+        }
+        let lanes = lanes.clone();
+        Ok(Self { lanes, divisions, windows, interval, min_completeness, start })
+    }
+
+    /// Counts of a frame to fill, for [`Self::observe`].
+    pub fn counts(&self) -> FrameCounts {
+        FrameCounts::of(self.divisions)
     }
 
     /// From now on a frame comes each `interval`. Running windows expect as many frames as
@@ -305,11 +251,11 @@ impl Aggregator {
 
     /// Takes the counts of a frame captured at `time` and returns the windows that it
     /// closes. A frame from before the running window is left out of it.
-    pub fn observe(&mut self, time: UtcMs, counts: &FrameCounts) -> Closed {
+    pub fn observe(&mut self, time: UtcMs, counts: &FrameCounts) -> Closed<W> {
         let closed = self.advance(time);
         for window in &mut self.windows {
             if window.from.is_some_and(|from| from <= time) {
-                for (series, count) in window.series.iter_mut().zip(&counts.lanes) {
+                for (series, count) in window.series.iter_mut().zip(counts.lanes()) {
                     series.push(count);
                 }
             }
@@ -318,7 +264,7 @@ impl Aggregator {
     }
 
     /// Notes that at `time` no usable frame came, and why; returns the windows that end.
-    pub fn miss(&mut self, time: UtcMs, status: SampleZoneStatus) -> Closed {
+    pub fn miss(&mut self, time: UtcMs, status: SampleZoneStatus) -> Closed<W> {
         let closed = self.advance(time);
         for window in &mut self.windows {
             if window.from.is_some_and(|from| from <= time) {
@@ -332,7 +278,7 @@ impl Aggregator {
     ///
     /// Called at least once a window, a window without frames is reported as such. A leap
     /// over several windows reports the running one and goes on in the one of `time`.
-    pub fn advance(&mut self, time: UtcMs) -> Closed {
+    pub fn advance(&mut self, time: UtcMs) -> Closed<W> {
         let mut closed = Closed::new();
         for index in 0..self.windows.len() {
             let Some(window) = self.windows.get_mut(index) else { break };
@@ -346,19 +292,21 @@ impl Aggregator {
             if time < from.saturating_add(window.length) {
                 if from.saturating_since(time) > MAX_WAIT {
                     let next = aligned.saturating_add(window.length);
-                    *window = Window::new(window.length, Some(next), self.interval);
+                    window.begin(next, self.interval);
                 }
                 continue;
             }
-            let next = Window::new(window.length, Some(aligned), self.interval);
-            let ended = core::mem::replace(window, next);
+            // Reported where it is: a copy would be the largest thing on a small stack.
+            let Some(ended) = self.windows.get(index) else { break };
             // Of a window that the clock has leapt over there is nothing to report.
             let is_empty = ended.series.iter().all(|series| series.n == 0);
-            if ended.expected() == 0 && is_empty {
-                continue;
+            if ended.expected() > 0 || !is_empty {
+                // One report a window and as many places as windows: there is always room.
+                let _ = closed.push(self.report(ended, from));
             }
-            // One report a window and as many places as windows: there is always room.
-            let _ = closed.push(self.report(&ended, from));
+            if let Some(window) = self.windows.get_mut(index) {
+                window.begin(aligned, self.interval);
+            }
         }
         closed
     }
@@ -366,7 +314,7 @@ impl Aggregator {
     /// Notes that the clock was set from `from`, to which windows were advanced, to `to`. Of
     /// the time that never was no frames are missing, and of that which is there twice more
     /// are expected. Returns the windows that it ends.
-    pub fn set_clock(&mut self, from: UtcMs, to: UtcMs) -> Closed {
+    pub fn set_clock(&mut self, from: UtcMs, to: UtcMs) -> Closed<W> {
         for window in &mut self.windows {
             let Some(begin) = window.from else { continue };
             let end = begin.saturating_add(window.length).min(to);
@@ -384,7 +332,7 @@ impl Aggregator {
     }
 
     /// Reports what the running windows hold, and empties them. For the end of a recording.
-    pub fn finish(&mut self) -> Closed {
+    pub fn finish(&mut self) -> Closed<W> {
         let mut closed = Closed::new();
         for index in 0..self.windows.len() {
             let Some(window) = self.windows.get_mut(index) else { break };
@@ -403,9 +351,12 @@ impl Aggregator {
         let expected = window.expected().max(1);
         let mut lanes = heapless::Vec::new();
         for lane in &self.lanes {
-            if let Some(series) = window.series.get(usize::from(lane.id.get()) - 1) {
+            let index = usize::from(lane.id.get()) - 1;
+            let (series, division) = (window.series.get(index), self.divisions.get(index));
+            if let (Some(series), Some(&division)) = (series, division) {
+                let report = self.lane_report(lane, division, series, expected, window.fault);
                 // As many places as lanes: there is always room.
-                let _ = lanes.push(self.lane_report(lane, series, expected, window.fault));
+                let _ = lanes.push(report);
             }
         }
         WindowReport { from, to: from.saturating_add(window.length), lanes }
@@ -414,6 +365,7 @@ impl Aggregator {
     fn lane_report(
         &self,
         lane: &Lane,
+        division: Division,
         series: &Series,
         frames_expected: u32,
         fault: SampleZoneStatus,
@@ -440,6 +392,7 @@ impl Aggregator {
             frames_used: series.n,
             frames_expected,
             status,
+            cells: Some(series.cells(division, estimate.is_some())),
         }
     }
 }

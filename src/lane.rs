@@ -7,21 +7,26 @@
 //! | offset | bytes | field |
 //! |---|---|---|
 //! | 0 | 8 | magic `VERGELUT` |
-//! | 8 | 1 | format version, 1 or 2 |
+//! | 8 | 1 | format version, 1 to 3 |
 //! | 9 | 1 | reserved, 0 |
 //! | 10 | 2 | length M of the description |
-//! | 12 | M | description: [`Description`] in postcard |
+//! | 12 | M | description: [`Description`] in postcard; version 3: then `cell_length_m`, f32 |
 //! | 12+M | 5 N | N = width x height cells in row order |
-//! | 12+M+5N | 4 | version 2 only: length R of the scene's reference |
-//! | 16+M+5N | R | version 2 only: [`crate::scene::Reference`] |
+//! | 12+M+5N | 4 | from version 2: length R of the scene's reference; in version 3 it may be 0 |
+//! | 16+M+5N | R | from version 2: [`crate::scene::Reference`] |
 //! | the last | 4 | CRC-32 (ISO-HDLC) of all bytes before |
 //!
 //! Version 1 is a table without a reference: the camera is then not checked for having
-//! moved. It is written where there is none, so that older programs read such tables.
+//! moved. Versions 1 and 2 say nothing of the cells along a lane, which are then 10 m long.
+//! The lowest version that holds a table is written, so that older programs read it.
 //!
 //! Numbers are little-endian. A cell is `lane: u8` (0: no lane), `s_cm: u16` (distance
 //! along the lane in cm, to 655 m) and `span_mm: u16` (road length along the lane that
 //! one pixel spans there, in mm, to 65 m).
+
+mod write;
+
+pub use write::{encode, encoded_len};
 
 use crate::scene::{MAX_REFERENCE, Reference, ReferenceError};
 use crate::units::{Direction, ImagePoint, ImageSize, LaneId, MAX_LANES};
@@ -32,13 +37,21 @@ use serde::{Deserialize, Serialize};
 /// First bytes of every lane table.
 pub const MAGIC: [u8; 8] = *b"VERGELUT";
 /// The newest format that this code reads and writes.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// The format of a table without a reference of the scene.
 const VERSION_BARE: u8 = 1;
+/// The format of a table with one, and with cells of the default length.
+const VERSION_SCENE: u8 = 2;
+/// Length of the cells by which density is told along a lane, where a table says nothing, m.
+pub const DEFAULT_CELL_LENGTH_M: f32 = 10.0;
+/// Shortest such cell, m: a vehicle's place is not known better.
+pub const MIN_CELL_LENGTH_M: f32 = 2.0;
+/// Longest such cell, m: a camera sees few lanes that are longer.
+pub const MAX_CELL_LENGTH_M: f32 = 100.0;
 /// Longest camera or calibration name, bytes of UTF-8: NTCIP and FIWARE ids fit.
 pub const MAX_NAME: usize = 48;
 /// Most bytes that a [`Description`] takes in postcard: two names, a hash, eight lanes of
-/// at most 6 bytes, sizes and errors come to 200; a half more leaves room.
+/// at most 6 bytes, sizes, errors and the cells' length come to 204; a half more leaves room.
 pub const MAX_DESCRIPTION: usize = 320;
 /// Most cells of a table: 1920x1080. A table is held in memory (10 MB at this size).
 pub const MAX_CELLS: usize = 1920 * 1080;
@@ -80,6 +93,14 @@ pub struct Description {
     pub calibration_id: Name,
     /// SHA-256 of the calibration file.
     pub calibration_sha256: [u8; 32],
+    /// About how long the cells are by which density is told along a lane, m. From version 3
+    /// of the format it stands behind the others.
+    #[serde(skip, default = "default_cell_length_m")]
+    pub cell_length_m: f32,
+}
+
+const fn default_cell_length_m() -> f32 {
+    DEFAULT_CELL_LENGTH_M
 }
 
 /// One cell, in units.
@@ -211,7 +232,7 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
         if [m0, m1, m2, m3, m4, m5, m6, m7] != MAGIC {
             return Err(LaneTableError::Magic);
         }
-        if version != VERSION && version != VERSION_BARE {
+        if !(VERSION_BARE..=VERSION).contains(&version) {
             return Err(LaneTableError::Version { found: version });
         }
         let (body, trailer) = bytes.split_last_chunk::<TRAILER>().ok_or(too_short(HEADER))?;
@@ -222,7 +243,10 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
             return Err(too_short(cells_at + TRAILER));
         };
         let description = match postcard::take_from_bytes::<Description>(encoded) {
-            Ok((description, [])) => description,
+            Ok((description, [])) if version < VERSION => description,
+            Ok((description, &[l0, l1, l2, l3])) if version == VERSION => {
+                Description { cell_length_m: f32::from_le_bytes([l0, l1, l2, l3]), ..description }
+            }
             // A changed byte is told apart from a writer's mistake by the checksum.
             _ if stored != computed => return Err(LaneTableError::Crc { stored, computed }),
             _ => return Err(LaneTableError::Description),
@@ -261,8 +285,14 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
         let end = bytes.len().saturating_sub(TRAILER);
         match bytes.get(scene_at..end) {
             None => Ok(None),
+            Some([]) if self.version() == VERSION => Ok(None),
             Some(bytes) => Reference::parse(bytes).map(Some).map_err(LaneTableError::Scene),
         }
+    }
+
+    /// The format in which it stands.
+    fn version(&self) -> u8 {
+        self.bytes.as_ref().get(MAGIC.len()).copied().unwrap_or_default()
     }
 
     /// What the table says about itself.
@@ -351,77 +381,11 @@ impl Description {
             let length_ok = lane.length_m > 0.0 && lane.length_m <= MAX_LANE_LENGTH_M;
             known(length_ok, "a lane is not between 0 and 655.35 m long")?;
         }
+        let cell_ok = (MIN_CELL_LENGTH_M..=MAX_CELL_LENGTH_M).contains(&self.cell_length_m);
+        known(cell_ok, "the cells along a lane are not between 2 and 100 m long")?;
         let rel_err_ok = self.length_rel_err.is_none_or(|e| e >= 0.0 && e.is_finite());
         known(rel_err_ok, "the stated error is negative or not a number")
     }
-}
-
-/// Writes a lane table into `buffer` and returns how many bytes it takes.
-///
-/// `cell(u, v)` gives what stands in column `u`, row `v`; `scene` is the reference of the
-/// static scene, where there is one. Distances are rounded to the
-/// centimetre and spans to the millimetre; a span over 65 m is held there.
-///
-/// # Errors
-/// [`LaneTableError::Buffer`] where `buffer` is too small ([`encoded_len`] says the size),
-/// and whatever [`LaneTable::parse`] would refuse: a table that cannot be read is never
-/// written.
-pub fn encode(
-    description: &Description,
-    scene: Option<&Reference>,
-    mut cell: impl FnMut(u16, u16) -> Option<Place>,
-    buffer: &mut [u8],
-) -> Result<usize, LaneTableError> {
-    description.check()?;
-    let actual = buffer.len();
-    let needed = encoded_len(description, scene);
-    let table = buffer.get_mut(..needed).ok_or(LaneTableError::Buffer { needed, actual })?;
-    let mut scratch = [0; MAX_DESCRIPTION];
-    let encoded =
-        postcard::to_slice(description, &mut scratch).map_err(|_| LaneTableError::Description)?;
-    let version = if scene.is_some() { VERSION } else { VERSION_BARE };
-    let mut rest = &mut *table;
-    let mut put = |bytes: &[u8]| {
-        let (head, tail) = core::mem::take(&mut rest).split_at_mut_checked(bytes.len())?;
-        head.copy_from_slice(bytes);
-        rest = tail;
-        Some(())
-    };
-    let full = LaneTableError::Buffer { needed, actual };
-    put(&MAGIC).ok_or(full)?;
-    put(&[version, 0]).ok_or(full)?;
-    put(&(encoded.len() as u16).to_le_bytes()).ok_or(full)?;
-    put(encoded).ok_or(full)?;
-    for v in 0..description.image_size.height {
-        for u in 0..description.image_size.width {
-            put(&encode_cell(cell(u, v))).ok_or(full)?;
-        }
-    }
-    if let Some(scene) = scene {
-        put(&(scene.encoded_len() as u32).to_le_bytes()).ok_or(full)?;
-        let place = rest.get_mut(..scene.encoded_len()).ok_or(full)?;
-        scene.encode(place).map_err(LaneTableError::Scene)?;
-    }
-    let (body, trailer) = table.split_last_chunk_mut::<TRAILER>().ok_or(full)?;
-    *trailer = CRC.checksum(body).to_le_bytes();
-    LaneTable::parse(&*table)?;
-    Ok(needed)
-}
-
-/// Bytes that a table with this description and reference takes.
-pub fn encoded_len(description: &Description, scene: Option<&Reference>) -> usize {
-    let mut scratch = [0; MAX_DESCRIPTION];
-    let len = postcard::to_slice(description, &mut scratch).map_or(MAX_DESCRIPTION, |s| s.len());
-    let scene = scene.map_or(0, |scene| LENGTH + scene.encoded_len());
-    HEADER + len + description.cell_count() * CELL + scene + TRAILER
-}
-
-fn encode_cell(place: Option<Place>) -> [u8; CELL] {
-    let Some(place) = place else { return [0; CELL] };
-    // `as` saturates: a negative or too long value stays at the end of the range.
-    let [s0, s1] = ((place.s_m * 100.0 + 0.5) as u16).to_le_bytes();
-    let [span0, span1] = ((place.span_m * 1000.0 + 0.5) as u16).to_le_bytes();
-    [place.lane.get(), s0, s1, span0, span1]
 }
 
 #[cfg(test)]

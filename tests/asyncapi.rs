@@ -10,7 +10,7 @@ use std::time::Duration;
 use verge::daemon::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::{Format, Identity, MqttSettings, payload, window_name};
-use verge::density::{LaneReport, SampleZoneStatus, WindowReport};
+use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
 use verge::health::Alarm;
 use verge::lane::{LaneTable, Name};
 use verge::units::{Direction, LaneId, UtcMs};
@@ -124,6 +124,10 @@ fn report() -> WindowReport {
         frames_used: 60,
         frames_expected: 60,
         status: SampleZoneStatus::Ok,
+        cells: Some(Cells {
+            length_m: 50.0,
+            density_veh_km: Some([40.0, 0.0].into_iter().collect()),
+        }),
     };
     let (from, to) = (UtcMs(1_767_600_000_000), UtcMs(1_767_600_060_000));
     WindowReport { from, to, lanes: [lane].into_iter().collect() }

@@ -15,7 +15,7 @@ use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::{
     Format, Identity, MqttSettings, MqttVersion, Tls, TlsFiles, payload, probe,
 };
-use verge::density::{Aggregator, FrameCounts, Start, WindowReport};
+use verge::density::{Aggregator, Start, WindowReport};
 use verge::lane::LaneTable;
 use verge::units::{LaneId, UtcMs, VehicleClass};
 use verge::wire::{self, ModelRef};
@@ -35,11 +35,12 @@ fn identity() -> Identity {
 /// A window with vehicles in lane 2, and one in which no picture came.
 fn windows() -> Vec<WindowReport> {
     let table = table();
-    let lanes = &table.description().lanes;
-    let mut line = Aggregator::new(lanes, &[MINUTE], MINUTE / 3, 0.5, Start::AtNextWindow)
-        .expect("a right configuration");
-    let mut counts = FrameCounts::default();
-    counts.add(LaneId::new(2).expect("in range"), VehicleClass::Bus);
+    let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
+    let mut line: Aggregator =
+        Aggregator::new(lanes, cell_m, &[MINUTE], MINUTE / 3, 0.5, Start::AtNextWindow)
+            .expect("a right configuration");
+    let mut counts = line.counts();
+    counts.add(LaneId::new(2).expect("in range"), 12.0, VehicleClass::Bus);
     let mut closed: Vec<_> = Vec::new();
     for second in [0, 20, 40, 60, 120] {
         let time = UtcMs(1_767_600_000_000 + second * 1000);

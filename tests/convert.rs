@@ -6,7 +6,7 @@ mod common;
 use common::{folder, stderr, verge};
 use std::fs;
 use verge::daemon::publish::{Identity, payload};
-use verge::density::{Aggregator, FrameCounts, SampleZoneStatus, Start};
+use verge::density::{Aggregator, SampleZoneStatus, Start};
 use verge::lane::LaneTable;
 use verge::units::{LaneId, UtcMs, VehicleClass};
 use verge::wire::{self, DensityMessage, ModelRef};
@@ -17,11 +17,12 @@ const MINUTE: std::time::Duration = std::time::Duration::from_secs(60);
 fn messages() -> Vec<DensityMessage> {
     let bytes = fs::read(common::K109F_TABLE).expect("it ships");
     let table = LaneTable::parse(bytes).expect("a right table");
-    let lanes = &table.description().lanes;
-    let mut line =
-        Aggregator::new(lanes, &[MINUTE], MINUTE / 3, 0.5, Start::AtNextWindow).expect("right");
-    let mut counts = FrameCounts::default();
-    counts.add(LaneId::new(2).expect("in range"), VehicleClass::Bus);
+    let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
+    let mut line: Aggregator =
+        Aggregator::new(lanes, cell_m, &[MINUTE], MINUTE / 3, 0.5, Start::AtNextWindow)
+            .expect("right");
+    let mut counts = line.counts();
+    counts.add(LaneId::new(2).expect("in range"), 12.0, VehicleClass::Bus);
     let mut closed = Vec::new();
     for second in [0, 20, 40, 60] {
         closed.extend(line.observe(UtcMs(1_767_600_000_000 + second * 1000), &counts));

@@ -215,7 +215,7 @@ fn write_table(recording: &Path, scene: &Scene, frames: usize, out: &Path) {
     let (_, seen) = reference(&pictures(&folder).expect("frames"), &[]).expect("a clear scene");
     std::fs::remove_dir_all(&folder).expect("removing the frames");
     let hash = if out.ends_with("b.lut") { [0xb; 32] } else { [0xa; 32] };
-    let bytes = table(&camera, &drawn, hash, "curve", Some(&seen)).expect("a right table");
+    let bytes = table(&camera, &drawn, hash, "curve", Some(&seen), 10.0).expect("a right table");
     std::fs::write(out, bytes).expect("writing the table");
 }
 

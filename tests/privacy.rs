@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::payload;
-use verge::density::{LaneReport, SampleZoneStatus, WindowReport};
+use verge::density::{Cells, LaneReport, MAX_LANE_CELLS, SampleZoneStatus, WindowReport};
 use verge::lane::{MAX_NAME, Name};
 use verge::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass};
 use verge::wire::{CalibrationRef, DensityMessage, ModelRef};
@@ -119,6 +119,10 @@ fn largest_message() -> usize {
         frames_used: u32::MAX,
         frames_expected: u32::MAX,
         status: SampleZoneStatus::DetectionAutoSuspended,
+        cells: Some(Cells {
+            length_m: f32::MAX,
+            density_veh_km: Some(std::iter::repeat_n(1.234_567_8e38, MAX_LANE_CELLS).collect()),
+        }),
     });
     let message = DensityMessage {
         site: name.clone(),

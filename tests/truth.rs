@@ -21,6 +21,9 @@ const QUARTER: Duration = Duration::from_secs(900);
 /// 08:00 on the scene's day, the beginning of a window.
 const START: UtcMs = UtcMs(1_767_600_000_000);
 
+/// About how long cells are, m.
+const CELL_M: f32 = 10.0;
+
 /// The lane table that `mvcalib table` makes for a scene.
 fn write_table(scene: &Scene, recorder: &Recorder, folder: &Path) -> PathBuf {
     let write = |name: &str, value: &serde_json::Value| {
@@ -34,7 +37,7 @@ fn write_table(scene: &Scene, recorder: &Recorder, folder: &Path) -> PathBuf {
     let camera = Calibration::read(&camera_file, None).expect("a right calibration");
     let drawn = LabelFile::read(&lanes_file).expect("right lanes");
     let drawn = lanes(&drawn, "lanes.json", &camera.camera()).expect("lanes on the road");
-    let bytes = table(&camera, &drawn, [0; 32], "street", None).expect("a right table");
+    let bytes = table(&camera, &drawn, [0; 32], "street", None, CELL_M).expect("a right table");
     let path = folder.join("street.lut");
     std::fs::write(&path, bytes).expect("writing the table");
     path
@@ -121,6 +124,73 @@ fn errors(name: &str, seed: u64, lane: usize, [truth, contact, centre]: [f64; 3]
          {centre:.1} ({by_centre:+.1} %) |"
     );
     errors
+}
+
+/// From a vehicle's middle to the end of it that the camera sees, m: half a car.
+const HALF_A_CAR_M: f64 = 2.3;
+
+/// Mean vehicles in each cell of the lanes from their upstream ends, by the line and in truth.
+fn cells_of_a_quarter(scene: &Scene, seed: u64) -> Vec<[Vec<f64>; 2]> {
+    let folder = common::folder();
+    let mut recorder = Recorder::new(scene, seed).expect("a street");
+    let table = write_table(scene, &recorder, folder.path());
+    let settings = LineSettings::recorded(&table, Path::new("none"), QUARTER);
+    let interval = Duration::from_secs_f64(scene.interval_s);
+    let mut line = Counting::open(&settings, interval).expect("a right table");
+    let size = (scene.camera.width as usize, scene.camera.height as usize);
+    let frames = (QUARTER.as_secs_f64() / scene.interval_s) as u32;
+    let lanes: Vec<(f64, bool)> = recorder
+        .street()
+        .measured()
+        .iter()
+        .map(|lane| (lane.length_m(), lane.direction == street::road::Direction::Toward))
+        .collect();
+    let count = |length_m: f64| (length_m / f64::from(CELL_M)).round() as usize;
+    let mut truth: Vec<Vec<f64>> = lanes.iter().map(|&(m, _)| vec![0.0; count(m)]).collect();
+    for frame in 0..frames {
+        let seen = recorder.next_truth();
+        for vehicle in &seen.vehicles {
+            let (length_m, toward) = lanes[vehicle.lane - 1];
+            let near_m = vehicle.s_m - HALF_A_CAR_M;
+            let s_m = if toward { length_m - near_m } else { near_m };
+            let cells = &mut truth[vehicle.lane - 1];
+            let cell = s_m / length_m * cells.len() as f64;
+            if (0.0..cells.len() as f64).contains(&cell) {
+                cells[cell as usize] += 1.0 / f64::from(frames);
+            }
+        }
+        let time = START.saturating_add(interval * frame);
+        line.count(&detections(&seen), size, time).expect("the table's camera");
+    }
+    let report = single(line.windows().finish());
+    let ours = report.lanes.iter().map(|lane| {
+        let cells = lane.cells.as_ref().expect("measured");
+        let densities = cells.density_veh_km.as_ref().expect("all frames were used");
+        let vehicles = |density: &f32| f64::from(density * cells.length_m / 1000.0);
+        densities.iter().map(vehicles).collect()
+    });
+    ours.zip(truth).map(|(ours, truth)| [ours, truth]).collect()
+}
+
+#[test]
+fn density_by_position_is_the_streets_own_from_the_upstream_end() {
+    let mut worst: f64 = 0.0;
+    for (lane, [ours, truth]) in cells_of_a_quarter(&curve("queue"), 1).iter().enumerate() {
+        assert_eq!(ours.len(), truth.len(), "lane {}", lane + 1);
+        // The differences of the cells as a share of the vehicles.
+        let all: f64 = truth.iter().sum();
+        let apart = |truth: &mut dyn Iterator<Item = &f64>| {
+            ours.iter().zip(truth).map(|(ours, truth)| (ours - truth).abs()).sum::<f64>() / all
+        };
+        let share = apart(&mut truth.iter());
+        let turned = apart(&mut truth.iter().rev());
+        eprintln!("lane {}: {share:.3}, from the other end {turned:.3}", lane + 1);
+        eprintln!("  {ours:.3?}\n  {truth:.3?}");
+        worst = worst.max(share);
+        // The queue tells one end of the first three lanes from the other.
+        assert!(lane >= 3 || share < 0.7 * turned, "lane {}", lane + 1);
+    }
+    assert!(worst < 0.08, "{worst}");
 }
 
 const HEADING: &str = "| traffic | seed | lane | truth veh/km | ground contact | box centre |\n\

@@ -299,7 +299,7 @@ fn lane_table(scene: &Scene, recorder: &Recorder) -> LaneTable<Vec<u8>> {
     let camera = Calibration::read(&path, None).expect("a right calibration");
     std::fs::remove_file(&path).expect("removing it");
     let drawn = lanes(&drawn, "lanes", &camera.camera()).expect("lanes on the road");
-    let bytes = table(&camera, &drawn, [0; 32], "street", None).expect("a right table");
+    let bytes = table(&camera, &drawn, [0; 32], "street", None, 10.0).expect("a right table");
     LaneTable::parse(bytes).expect("a right table")
 }
 

@@ -106,13 +106,15 @@ fn lane(shape: &Shape, camera: &Camera) -> Result<DrawnLane> {
 /// The bytes of a lane table.
 ///
 /// `sha256` is the hash of the calibration file, `fallback_id` names the camera where the
-/// calibration does not, `scene` is the reference by which a moved camera is noticed.
+/// calibration does not, `scene` is the reference by which a moved camera is noticed,
+/// `cell_length_m` is about how long the cells are by which density is told along a lane.
 pub fn table(
     calibration: &Calibration,
     lanes: &[DrawnLane],
     sha256: [u8; 32],
     fallback_id: &str,
     scene: Option<&Reference>,
+    cell_length_m: f32,
 ) -> Result<Vec<u8>> {
     let camera = calibration.camera();
     let cells = cells(&camera, lanes)?;
@@ -135,6 +137,7 @@ pub fn table(
         length_rel_err: calibration.rel_err.map(|e| e as f32),
         calibration_id: name(&format!("{}-{hash}", calibration.method)),
         calibration_sha256: sha256,
+        cell_length_m,
     };
     let mut bytes = vec![0; verge::lane::encoded_len(&description, scene)];
     let at = |u: u16, v: u16| cells[usize::from(v) * width as usize + usize::from(u)];
@@ -259,12 +262,12 @@ mod tests {
         let lanes = lanes(&file, "lanes.json", &camera).unwrap();
         let mut calibration = Calibration::of_camera(&camera, "joint");
         calibration.rel_err = Some(0.057);
-        let bytes = table(&calibration, &lanes, [7; 32], "camera", None).unwrap();
+        let bytes = table(&calibration, &lanes, [7; 32], "camera", None, 10.0).unwrap();
         let table = LaneTable::parse(&bytes[..]).unwrap();
         let description = table.description();
         assert_eq!(description.lanes.len(), 2);
         assert!((description.lanes[1].length_m - 40.0).abs() < 1e-3);
-        assert_eq!(description.length_rel_err, Some(0.057));
+        assert_eq!((description.length_rel_err, description.cell_length_m), (Some(0.057), 10.0));
         assert_eq!(description.calibration_id.as_str(), "joint-07070707");
         for (x, y, lane, s) in [(-1.6, 45.0, 1, 20.0), (1.6, 45.0, 2, 20.0), (1.6, 60.0, 2, 5.0)] {
             let uv = camera.project(&nalgebra::Vector3::new(x, y, 0.0)).unwrap();
@@ -285,7 +288,7 @@ mod tests {
         ]);
         let drawn = lanes(&both, "lanes.json", &camera).unwrap();
         let calibration = Calibration::of_camera(&camera, "joint");
-        let error = table(&calibration, &drawn, [0; 32], "c", None).unwrap_err().to_string();
+        let error = table(&calibration, &drawn, [0; 32], "c", None, 10.0).unwrap_err().to_string();
         assert!(error.contains("lane 1") && error.contains("lane 4"), "{error}");
         for label in ["kerb", "lane 0", "lane 9"] {
             assert!(lanes(&file(&[(label, "", NEAR)]), "lanes.json", &camera).is_err());

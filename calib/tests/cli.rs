@@ -174,6 +174,18 @@ fn one_vehicle_is_not_trusted_and_its_table_is_refused_unless_forced() {
         assert!(!lut.exists());
         let forced = mvcalib(&[&table[..], &["--force"]].concat());
         assert!(forced.status.success(), "{}", stderr(&forced));
+        let cells = |length| mvcalib(&[&table[..], &["--force", "--cell-length", length]].concat());
+        for wrong in ["1.9", "101", "-10", "NaN", "ten"] {
+            let refused = cells(wrong);
+            assert_eq!(refused.status.code(), Some(64), "{wrong}: {}", stderr(&refused));
+        }
+        for (length, version) in [("10", 1), ("7.5", 3)] {
+            assert!(cells(length).status.success());
+            let bytes = std::fs::read(&lut).unwrap();
+            let table = verge::lane::LaneTable::parse(&bytes[..]).unwrap();
+            assert_eq!(table.description().cell_length_m.to_string(), length);
+            assert_eq!(bytes[8], version);
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use super::LineSettings;
 use super::exit::Failure;
 use super::flow::Detection;
 use super::locate::{LocateError, Located, Locator};
-use crate::density::{Aggregator, Closed, FrameCounts, SampleZoneStatus};
+use crate::density::{Aggregator, Closed, SampleZoneStatus};
 use crate::lane::{Description, Place};
 use crate::scene::Reference;
 use crate::units::{ImagePoint, UtcMs};
@@ -40,6 +40,7 @@ impl Counting {
         let locator = Locator::load(table, settings.camera.as_deref(), settings.anchor)?;
         let aggregator = Aggregator::new(
             &locator.description().lanes,
+            locator.description().cell_length_m,
             &settings.windows,
             interval,
             settings.min_completeness,
@@ -75,9 +76,9 @@ impl Counting {
     ) -> Result<Closed, LocateError> {
         let size = self.locator.check_size(width, height)?;
         self.locator.locate(detections, size, shift, &mut self.located);
-        let mut counts = FrameCounts::default();
+        let mut counts = self.aggregator.counts();
         for vehicle in &self.located {
-            counts.add(vehicle.place.lane, vehicle.class);
+            counts.add(vehicle.place.lane, vehicle.place.s_m, vehicle.class);
         }
         Ok(self.aggregator.observe(time, &counts))
     }

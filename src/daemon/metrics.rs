@@ -225,6 +225,7 @@ mod tests {
             frames_used: 45,
             frames_expected: 60,
             status: SampleZoneStatus::Ok,
+            cells: None,
         };
         WindowReport {
             from: UtcMs(1_767_600_000_000),

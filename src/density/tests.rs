@@ -1,5 +1,6 @@
 //! Tests of windows and of the estimator.
 
+use super::counts::LaneCount;
 use super::*;
 use std::vec::Vec;
 
@@ -15,15 +16,24 @@ fn aggregator(windows: &[Duration], interval: Duration, start: Start) -> Aggrega
         Lane { id: lane_id(2), direction: Direction::Away, length_m: 100.0 },
     ];
     let lanes = heapless::Vec::from_slice(&lanes).expect("two of eight");
-    Aggregator::new(&lanes, windows, interval, 0.5, start).expect("a right configuration")
+    Aggregator::new(&lanes, 10.0, windows, interval, 0.5, start).expect("a right configuration")
 }
 
 fn cars(lane: u8, n: usize) -> FrameCounts {
-    let mut counts = FrameCounts::default();
+    let mut counts = aggregator(&[MINUTE], MINUTE, Start::AtNextWindow).counts();
     for _ in 0..n {
-        counts.add(lane_id(lane), VehicleClass::Car);
+        counts.add(lane_id(lane), 0.0, VehicleClass::Car);
     }
     counts
+}
+
+/// Numbers from 0 to 1, the same each time.
+fn random() -> impl FnMut() -> f32 {
+    let mut state = 0x9e37_79b9_7f4a_7c15u64;
+    move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (state >> 40) as f32 / (1u64 << 24) as f32
+    }
 }
 
 fn second(s: i64) -> UtcMs {
@@ -109,11 +119,7 @@ fn a_leap_reports_one_window_and_a_step_back_none() {
 #[test]
 fn the_stated_error_covers_the_truth_of_correlated_counts() {
     // A two-state road: a queue of 8 that comes and goes, mean 4, correlation 0.96.
-    let mut state = 0x9e37_79b9_7f4a_7c15u64;
-    let mut uniform = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (state >> 40) as f32 / (1u64 << 24) as f32
-    };
+    let mut uniform = random();
     let (mut covered, rounds) = (0, 400);
     for _ in 0..rounds {
         let mut series = Series::default();
@@ -145,7 +151,8 @@ fn impossible_windows_are_refused() {
     let lanes = heapless::Vec::new();
     let s = Duration::from_secs;
     let new = |lengths: &[Duration], interval| {
-        Aggregator::new(&lanes, lengths, interval, 0.5, Start::AtNextWindow).err()
+        let start = Start::AtNextWindow;
+        Aggregator::<MAX_WINDOWS>::new(&lanes, 10.0, lengths, interval, 0.5, start).err()
     };
     assert_eq!(new(&[], s(1)), Some(AggregateError::WindowCount(0)));
     for length in [s(5), s(70), s(1800), Duration::from_millis(10_500), s(0)] {
@@ -160,7 +167,7 @@ fn impossible_windows_are_refused() {
 fn a_slower_pace_is_expected_in_its_window_and_a_faster_one_in_the_next() {
     let mut line = aggregator(&[MINUTE], Duration::from_secs(10), Start::AtNextWindow);
     let frames = |line: &mut Aggregator, from: i64, step: usize| {
-        let mut closed = Closed::new();
+        let mut closed: Closed = Closed::new();
         for t in (from..from + 60).step_by(step) {
             let now = line.observe(second(t), &cars(1, 2));
             closed.extend(now);
@@ -177,5 +184,66 @@ fn a_slower_pace_is_expected_in_its_window_and_a_faster_one_in_the_next() {
         let lane = &report.lanes[0];
         assert_eq!((lane.frames_used, lane.frames_expected), frames);
         assert_eq!(lane.density_veh_km, Some(40.0));
+    }
+}
+
+#[test]
+fn a_vehicle_counts_in_the_cell_of_its_place() {
+    let mut line = aggregator(&[MINUTE], Duration::from_secs(20), Start::AtNextWindow);
+    for (t, places) in [(0, &[5.0, 15.0][..]), (20, &[15.0]), (40, &[49.9, 50.0])] {
+        let mut counts = line.counts();
+        places.iter().for_each(|&s_m| counts.add(lane_id(1), s_m, VehicleClass::Car));
+        assert!(line.observe(second(t), &counts).is_empty());
+    }
+    let report = &line.advance(second(60))[0];
+    let cells = |lane: usize| report.lanes[lane].cells.clone().expect("measured");
+    let by_density = |cells: &Cells, per_frame: &[f32]| {
+        let densities = cells.density_veh_km.as_ref().expect("known");
+        assert_eq!(densities.len(), per_frame.len());
+        for (density, n) in densities.iter().zip(per_frame) {
+            assert!((density - n / 3.0 * 100.0).abs() < 1e-3, "{densities:?}");
+        }
+    };
+    assert_eq!(cells(0).length_m, 10.0);
+    by_density(&cells(0), &[1.0, 2.0, 0.0, 0.0, 2.0]);
+    by_density(&cells(1), &[0.0; 10]);
+    line.miss(second(70), SampleZoneStatus::PoorContrast);
+    let report = &line.advance(second(120))[0];
+    let unknown = Cells { length_m: 10.0, density_veh_km: None };
+    assert_eq!(report.lanes[0].cells, Some(unknown), "no density, no cells of it");
+}
+
+#[test]
+fn the_mean_of_the_cells_is_the_density_of_the_lane() {
+    let mut uniform = random();
+    for round in 0..200 {
+        let lane = Lane {
+            id: lane_id(1 + round % 8),
+            direction: Direction::Away,
+            length_m: 1.0 + 654.0 * uniform(),
+        };
+        let lanes = heapless::Vec::from_slice(&[lane]).expect("one of eight");
+        let about_m = 2.0 + 98.0 * uniform();
+        let (windows, start) = ([MINUTE, 5 * MINUTE], Start::AtNextWindow);
+        let mut line: Aggregator =
+            Aggregator::new(&lanes, about_m, &windows, MINUTE / 12, 0.5, start).expect("right");
+        let busy = 20.0 * uniform();
+        for t in (0..300).step_by(5) {
+            let mut counts = line.counts();
+            for _ in 0..(busy * uniform()) as usize {
+                counts.add(lane.id, lane.length_m * uniform(), VehicleClass::Car);
+            }
+            line.observe(second(t), &counts);
+        }
+        for report in line.advance(second(300)) {
+            let report = &report.lanes[0];
+            let cells = report.cells.as_ref().expect("measured");
+            let densities = cells.density_veh_km.as_ref().expect("known");
+            let whole = cells.length_m * densities.len() as f32;
+            assert!((whole - lane.length_m).abs() < 1e-3 * lane.length_m, "{cells:?}");
+            let mean = densities.iter().sum::<f32>() / densities.len() as f32;
+            let density = report.density_veh_km.expect("known");
+            assert!((mean - density).abs() <= 1e-5 * density, "{mean} {density}");
+        }
     }
 }

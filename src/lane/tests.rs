@@ -18,6 +18,7 @@ fn description() -> Description {
         length_rel_err: Some(0.0625),
         calibration_id: Name::try_from("c").expect("short"),
         calibration_sha256: [0xab; 32],
+        cell_length_m: DEFAULT_CELL_LENGTH_M,
     }
 }
 
@@ -146,6 +147,64 @@ fn impossible_descriptions_are_not_written() {
         encode(&description(), None, cell, &mut small),
         Err(LaneTableError::Buffer { actual: 16, .. })
     ));
+}
+
+/// The same with cells of 7.5 m along its lanes.
+fn with_cells(scene: Option<&Reference>) -> std::vec::Vec<u8> {
+    let description = Description { cell_length_m: 7.5, ..description() };
+    let mut bytes = std::vec![0; encoded_len(&description, scene)];
+    let len = encode(&description, scene, cell, &mut bytes).expect("a right table");
+    assert_eq!(len, bytes.len());
+    bytes
+}
+
+#[test]
+fn the_length_of_cells_is_version_3_and_comes_back() {
+    let bare = encoded();
+    let cells_at = bare.len() - 4 - 8 * CELL;
+    let mut golden = bare[..cells_at].to_vec();
+    golden[8] = 3;
+    golden[10] += 4;
+    golden.extend_from_slice(&[0, 0, 0xf0, 0x40]); // 7.5 m
+    golden.extend_from_slice(&bare[cells_at..bare.len() - 4]);
+    golden.extend_from_slice(&[0; 4]); // no reference
+    golden.extend_from_slice(&CRC.checksum(&golden).to_le_bytes());
+    assert_eq!(with_cells(None), golden);
+    for scene in [None, Some(reference())] {
+        let bytes = with_cells(scene.as_ref());
+        let table = LaneTable::parse(&bytes[..]).expect("just written");
+        assert_eq!(table.description().cell_length_m, 7.5);
+        assert_eq!(table.scene(), Ok(scene));
+        assert_eq!(table.place(ImagePoint { u: 0.5, v: 0.5 }), cell(0, 0));
+        for len in 0..bytes.len() {
+            assert!(LaneTable::parse(&bytes[..len]).is_err(), "{len} bytes");
+        }
+    }
+    let good = with_cells(None);
+    for bit in 0..good.len() * 8 {
+        let mut bad = good.clone();
+        bad[bit / 8] ^= 1 << (bit % 8);
+        assert!(LaneTable::parse(&bad[..]).is_err(), "bit {bit}");
+    }
+    let bare = LaneTable::parse(&bare[..]).expect("just written");
+    assert_eq!(bare.description().cell_length_m, 10.0);
+}
+
+#[test]
+fn impossible_lengths_of_cells_are_refused() {
+    let good = with_cells(None);
+    let length_at = good.len() - 8 - 8 * CELL - 4;
+    for length_m in [0.0, 1.99, 100.01, -10.0, f32::NAN, f32::INFINITY] {
+        let mut buffer = [0; 512];
+        let description = Description { cell_length_m: length_m, ..description() };
+        let refused = encode(&description, None, cell, &mut buffer);
+        assert!(matches!(refused, Err(LaneTableError::Value(_))), "{length_m}: {refused:?}");
+        let mut bytes = good.clone();
+        bytes[length_at..length_at + 4].copy_from_slice(&length_m.to_le_bytes());
+        let (body, trailer) = bytes.split_last_chunk_mut::<4>().expect("a trailer");
+        *trailer = CRC.checksum(body).to_le_bytes();
+        assert!(matches!(LaneTable::parse(bytes), Err(LaneTableError::Value(_))), "{length_m}");
+    }
 }
 
 /// A reference of the scene: a row of points.

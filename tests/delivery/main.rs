@@ -23,7 +23,7 @@ use verge::daemon::Outlet;
 use verge::daemon::publish::loopback::Subscriber;
 use verge::daemon::publish::{Format, Identity, MqttSettings};
 use verge::daemon::spool::Spool;
-use verge::density::{LaneReport, SampleZoneStatus, WindowReport};
+use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
 use verge::lane::{LaneTable, Name};
 use verge::units::{Direction, LaneId, UtcMs, VehicleClass};
 use verge::wire::ModelRef;
@@ -55,6 +55,10 @@ fn window(n: i64) -> WindowReport {
         frames_used: 6,
         frames_expected: 6,
         status: SampleZoneStatus::Ok,
+        cells: Some(Cells {
+            length_m: 12.5,
+            density_veh_km: Some([21.5; 10].into_iter().collect()),
+        }),
     };
     let (from, to) = (UtcMs((n - 1) * 60_000), UtcMs(n * 60_000));
     WindowReport { from, to, lanes: (1..=4).map(lane).collect() }

@@ -28,7 +28,7 @@ use verge::daemon::export::{Exporter, MessageForm, Place, Target as Format, read
 use verge::daemon::flow::Picture;
 use verge::daemon::publish::{Identity, payload};
 use verge::daemon::spool::{self, Spool};
-use verge::density::{Aggregator, FrameCounts, LaneReport, SampleZoneStatus, Start};
+use verge::density::{Aggregator, LaneReport, SampleZoneStatus, Start};
 use verge::lane::{self, Description, Lane, LaneTable, Name};
 use verge::scene::{Point, Reference};
 use verge::units::{Direction, ImagePoint, ImageSize, LaneId, UtcMs, VehicleClass};
@@ -54,6 +54,7 @@ fn message_kind(message: &DensityMessage) -> String {
             lane.density_veh_km.is_some(),
             lane.by_class.is_some(),
             lane.space_occupancy.is_some(),
+            lane.cells.as_ref().is_some_and(|cells| cells.density_veh_km.is_some()),
             lane.status == SampleZoneStatus::Ok,
         ];
         is_known.map(|known| if known { 'k' } else { '-' }).iter().collect::<String>()
@@ -279,8 +280,8 @@ fn small_scene() -> Reference {
     scene
 }
 
-/// A table of 16x8 cells with two lanes: format 1, or 2 with a scene.
-fn small_table(scene: Option<&Reference>) -> Vec<u8> {
+/// A table of 16x8 cells with two lanes: format 1, 2 with a scene, 3 with cells of another length.
+fn small_table(cell_length_m: f32, scene: Option<&Reference>) -> Vec<u8> {
     let lane = |number, direction| Lane {
         id: LaneId::new(number).expect("in range"),
         direction,
@@ -293,6 +294,7 @@ fn small_table(scene: Option<&Reference>) -> Vec<u8> {
         length_rel_err: Some(0.02),
         calibration_id: name("calibration"),
         calibration_sha256: [3; 32],
+        cell_length_m,
     };
     let mut bytes = vec![0; lane::encoded_len(&description, scene)];
     let cell = |u: u16, v: u16| {
@@ -309,11 +311,16 @@ fn lane_tables() {
     let target = Target {
         name: "lane_tables",
         executions: 50_000,
-        corpus: vec![small_table(None), small_table(Some(&small_scene()))],
+        corpus: vec![
+            small_table(10.0, None),
+            small_table(10.0, Some(&small_scene())),
+            small_table(7.5, None),
+        ],
         tokens: &[
             b"VERGELUT",
             b"VERGELUT\x01\0",
             b"VERGELUT\x02\0",
+            b"VERGELUT\x03\0",
             b"\xff\xff\xff\xff\x0f",
             b"\0\0\xc0\x7f",
         ],
@@ -324,6 +331,7 @@ fn lane_tables() {
         let result = LaneTable::parse(&*input);
         if let Ok(table) = &result {
             let description = table.description();
+            assert!((2.0..=100.0).contains(&description.cell_length_m), "cells of no such length");
             let size = description.image_size;
             let edges = [-1.0, 0.0, 0.5, f32::NAN, f32::MAX];
             let (right, low) = (f32::from(size.width), f32::from(size.height));
@@ -350,13 +358,14 @@ fn lane_tables() {
 
 /// Messages with and without density.
 fn messages_to_begin_with() -> Vec<DensityMessage> {
-    let table = LaneTable::parse(small_table(None)).expect("a right table");
+    let table = LaneTable::parse(small_table(10.0, None)).expect("a right table");
     let minute = std::time::Duration::from_secs(60);
-    let lanes = &table.description().lanes;
-    let mut line =
-        Aggregator::new(lanes, &[minute], minute / 3, 0.5, Start::AtNextWindow).expect("right");
-    let mut counts = FrameCounts::default();
-    counts.add(LaneId::new(2).expect("in range"), VehicleClass::Bus);
+    let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
+    let mut line: Aggregator =
+        Aggregator::new(lanes, cell_m, &[minute], minute / 3, 0.5, Start::AtNextWindow)
+            .expect("right");
+    let mut counts = line.counts();
+    counts.add(LaneId::new(2).expect("in range"), 12.0, VehicleClass::Bus);
     let mut closed = Vec::new();
     for second in [0, 20, 40, 60] {
         closed.extend(line.observe(UtcMs(1_767_600_000_000 + second * 1000), &counts));

@@ -105,7 +105,7 @@ fn run_box(port: u16, site: &str, scene: &str, seed: u64, windows: u64) {
 fn measure(street: &mut Simulation, site: &str, window: u64) -> Value {
     let frames = (WINDOW_S as f64 / FRAME_S) as u32;
     let measured = street.measured().to_vec();
-    let cells = |length_m: f64| (length_m / CELL_M).ceil() as usize;
+    let cells = |length_m: f64| (length_m / CELL_M).round().max(1.0) as usize;
     let mut counts: Vec<Vec<u32>> =
         measured.iter().map(|lane| vec![0; cells(lane.length_m())]).collect();
     for _ in 0..frames {
@@ -113,8 +113,10 @@ fn measure(street: &mut Simulation, site: &str, window: u64) -> Value {
         for vehicle in street.snapshot().vehicles {
             let lane = &measured[vehicle.lane];
             if lane.contains(vehicle.lane_s_m) {
-                let cell = (vehicle.lane_s_m - lane.near_m) / CELL_M;
-                counts[vehicle.lane][cell as usize] += 1;
+                let lane_counts = &mut counts[vehicle.lane];
+                let share = (vehicle.lane_s_m - lane.near_m) / lane.length_m();
+                let cell = (share * lane_counts.len() as f64) as usize;
+                lane_counts[cell.min(cells(lane.length_m()) - 1)] += 1;
             }
         }
     }
@@ -124,17 +126,14 @@ fn measure(street: &mut Simulation, site: &str, window: u64) -> Value {
         .map(|(lane, counts)| {
             let length_m = lane.length_m();
             let mean = f64::from(counts.iter().sum::<u32>()) / f64::from(frames);
-            let density = |cell: usize, count: u32| {
-                let cell_m = CELL_M.min(length_m - cell as f64 * CELL_M);
-                f64::from(count) / f64::from(frames) / cell_m * 1000.0
-            };
-            let by_cell: Vec<f64> =
-                counts.iter().enumerate().map(|(cell, count)| density(cell, *count)).collect();
+            let cell_m = length_m / counts.len() as f64;
+            let density = |count: &u32| f64::from(*count) / f64::from(frames) / cell_m * 1000.0;
+            let by_cell: Vec<f64> = counts.iter().map(density).collect();
             json!({"lane": lane.number, "direction": "unknown",
                 "density_veh_km": mean / length_m * 1000.0, "density_se": null,
                 "vehicles_mean": mean, "by_class": null, "space_occupancy": null,
                 "length_m": length_m, "frames_used": frames, "frames_expected": frames,
-                "status": "oK", "cells": {"length_m": CELL_M, "density_veh_km": by_cell}})
+                "status": "oK", "cells": {"length_m": cell_m, "density_veh_km": by_cell}})
         })
         .collect();
     let (hour, minute) = (8 + window / 60, window % 60);

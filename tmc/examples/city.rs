@@ -1,7 +1,7 @@
 //! Makes an archive of a city and times the report over it.
 //!
-//! `cargo run --release -p verge-tmc --example city -- DIR [SITES [DAYS]]`: by default 100
-//! sites, 90 days, four lanes, one-minute windows: 51.8 million rows. Prints the seconds for
+//! `cargo run --release -p verge-tmc --example city -- DIR [SITES [DAYS [CELLS]]]`: by
+//! default 100 sites, 90 days, four lanes, no cells, one-minute windows: 51.8 million rows. Prints the seconds for
 //! both and the report's largest memory. DIR must not be there yet.
 
 use clap::Parser;
@@ -22,6 +22,9 @@ struct Arguments {
     sites: usize,
     #[arg(default_value_t = 90)]
     days: i64,
+    /// Cells of a lane.
+    #[arg(default_value_t = 0)]
+    cells: i32,
 }
 
 #[derive(Parser)]
@@ -31,12 +34,12 @@ struct Report {
 }
 
 fn main() {
-    let Arguments { folder, sites, days } = Arguments::parse();
+    let Arguments { folder, sites, days, cells } = Arguments::parse();
     std::fs::create_dir(&folder).expect("a folder that is not there yet");
     let begun = Instant::now();
     for site in 0..sites {
         for day in 0..days {
-            write_day(&folder.join("archive"), site, day);
+            write_day(&folder.join("archive"), site, day, cells);
         }
     }
     println!("archive made in {:.1} s", begun.elapsed().as_secs_f64());
@@ -61,7 +64,7 @@ fn main() {
 }
 
 /// A day with two peaks, lower on Sunday; one window in 200 has no density.
-fn write_day(root: &Path, site: usize, day: i64) {
+fn write_day(root: &Path, site: usize, day: i64, cells: i32) {
     let partition = Partition { site: format!("camera{site:03}"), day: FIRST_DAY + day };
     let mut state = (site as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (day as u64 + 1);
     let mut noise = move || {
@@ -71,18 +74,18 @@ fn write_day(root: &Path, site: usize, day: i64) {
         (state >> 40) as f64 / f64::from(1 << 24)
     };
     let week = if day % 7 == 6 { 0.5 } else { 1.0 };
-    let mut rows = Vec::with_capacity(1440 * LANES as usize);
+    let mut rows = Vec::with_capacity(1440 * (LANES * (1 + cells)) as usize);
     for minute in 0..1440 {
         let hour = f64::from(minute) / 60.0;
         let peak = |at: f64| (-((hour - at) / 1.5).powi(2)).exp();
         let level =
             week * (6.0 + 25.0 * peak(8.0) + 32.0 * peak(18.0) + 8.0 * (hour / 24.0 * PI).sin());
         for lane in 1..=LANES {
-            let known = noise() > 0.005;
+            let is_known = noise() > 0.005;
             let density =
                 (level * (0.7 + 0.1 * f64::from(lane) + 0.3 * noise()) * 1e4).round() / 1e4;
-            let known = |value: f64| known.then_some(value as f32);
-            rows.push(Row {
+            let known = |value: f64| is_known.then_some(value as f32);
+            let row = Row {
                 window_s: 60,
                 from_ms: partition.day * DAY_MS + i64::from(minute) * 60_000,
                 lane,
@@ -99,8 +102,26 @@ fn write_day(root: &Path, site: usize, day: i64) {
                 seq: day * 1440 + i64::from(minute) + 1,
                 clock_synced: true,
                 rel_err: Some(0.02),
-            });
+            };
+            for cell in 0..cells {
+                // Counts of 30 frames in a cell: few values, as boxes have them.
+                let count = (density * (0.5 + noise()) * 3.0 / f64::from(cells)).round();
+                let cell_m = 100.0 / cells as f32;
+                let density = known(f64::from(count as f32 / 30.0 / cell_m * 1000.0));
+                rows.push(Row {
+                    cell: Some(cell),
+                    position_m: Some(cell as f32 * cell_m),
+                    length_m: cell_m,
+                    density,
+                    se: None,
+                    vehicles: density.map(|density| density * cell_m / 1000.0),
+                    occupancy: None,
+                    ..row.clone()
+                });
+            }
+            rows.push(row);
         }
     }
+    rows.sort_by_key(Row::key);
     store::write(&partition.path(root), &rows).expect("room for the archive");
 }

@@ -61,13 +61,30 @@ pub struct Lane {
     pub cells: Option<Cells>,
 }
 
-/// Density by position: cells of one length from the lane's near end.
+/// Density by position: cells of one length from the lane's upstream end.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Cells {
     /// Length of a cell, m; the last one may be shorter.
     pub length_m: f32,
     /// Density of each, veh/km; null where nothing is known.
-    pub density_veh_km: Vec<Option<f32>>,
+    pub density_veh_km: Option<Vec<Option<f32>>>,
+}
+
+impl Cells {
+    /// The density of each cell of a lane of that length.
+    pub fn densities(&self, lane_m: f32) -> Vec<Option<f32>> {
+        let count = || (lane_m / self.length_m).round() as usize;
+        self.density_veh_km.clone().unwrap_or_else(|| vec![None; count().min(MOST_CELLS)])
+    }
+
+    fn check(&self, lane_m: f32) -> Result<(), String> {
+        let count = self.density_veh_km.as_ref().map_or(0, Vec::len);
+        if count > MOST_CELLS {
+            return Err(format!("more than {MOST_CELLS} cells"));
+        }
+        let right = self.length_m > 0.0 && lane_m / self.length_m < MOST_CELLS as f32;
+        right.then_some(()).ok_or_else(|| format!("cells of {} m", self.length_m))
+    }
 }
 
 /// Which calibration a density rests on.
@@ -127,8 +144,9 @@ impl Window {
             if status_number(&lane.status).is_none() {
                 return Err(format!("lane {number} has the unknown status {:?}", lane.status));
             }
-            if lane.cells.as_ref().is_some_and(|cells| cells.density_veh_km.len() > MOST_CELLS) {
-                return Err(format!("lane {number} has more than {MOST_CELLS} cells"));
+            if let Some(cells) = &lane.cells {
+                let wrong = |what| format!("lane {number} of {} m has {what}", lane.length_m);
+                cells.check(lane.length_m).map_err(wrong)?;
             }
         }
         Ok(window)
@@ -144,7 +162,8 @@ impl Window {
 pub(crate) mod tests {
     use super::*;
 
-    /// A message as a box writes it: two lanes, the second without a density.
+    /// A message as a box writes it: two lanes, of two and four cells, the second lane without a
+    /// density.
     pub(crate) fn message(site: &str, seq: u64, from: &str) -> String {
         format!(
             r#"{{"schema":1,"site":"{site}","seq":{seq},"window_s":60,"from":"{from}","to":"x",
@@ -154,7 +173,8 @@ pub(crate) mod tests {
             "cells":{{"length_m":50.0,"density_veh_km":[20.0,5.0]}}}},
             {{"lane":2,"direction":"away","density_veh_km":null,
             "density_se":null,"vehicles_mean":null,"by_class":null,"space_occupancy":null,
-            "length_m":100.0,"frames_used":0,"frames_expected":30,"status":"sensorFailure"}}],
+            "length_m":100.0,"frames_used":0,"frames_expected":30,"status":"sensorFailure",
+            "cells":{{"length_m":25.0,"density_veh_km":null}}}}],
             "calibration":{{"id":"a","sha256":"","rel_err":0.02}},
             "model":{{"name":"m","sha256":""}}}}"#
         )
@@ -165,7 +185,11 @@ pub(crate) mod tests {
         let right = message("k109f", 7, "2026-01-05T08:00:00.000Z");
         let window = Window::parse(right.as_bytes()).unwrap();
         assert_eq!((window.seq, window.from_ms()), (7, 1_767_600_000_000));
-        assert_eq!(window.lanes[0].cells.as_ref().unwrap().density_veh_km.len(), 2);
+        let cells = |lane: usize| window.lanes[lane].cells.as_ref().unwrap().densities(100.0);
+        assert_eq!((cells(0), cells(1)), (vec![Some(20.0), Some(5.0)], vec![None; 4]));
+        // A box that does not measure them yet.
+        let without = Window::parse(right.replace("\"cells\"", "\"other\"").as_bytes()).unwrap();
+        assert!(without.lanes.iter().all(|lane| lane.cells.is_none()));
         for (from, to, said) in [
             ("\"schema\":1", "\"schema\":2", "schema 2"),
             ("k109f", "../etc", "makes a name"),
@@ -173,6 +197,9 @@ pub(crate) mod tests {
             ("\"lane\":2", "\"lane\":1", "twice"),
             ("\"lane\":2", "\"lane\":9", "1 to 8"),
             ("sensorFailure", "fine", "unknown status"),
+            ("\"length_m\":25.0", "\"length_m\":0.0", "lane 2 of 100 m has cells of 0 m"),
+            ("\"length_m\":25.0", "\"length_m\":1e-9", "has cells of"),
+            ("[20.0,", &format!("[{}", "1.0,".repeat(512)), "more than 512 cells"),
             ("\"seq\":7", "\"seq\":-7", "seq"),
             ("{\"schema", "{{", "key"),
         ] {

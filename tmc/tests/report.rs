@@ -75,13 +75,14 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
     let csv = read(&out.join("north/along_the_road.csv"));
     assert!(csv.contains("\n1,0.0,5.7500,2880\n1,10.0,17.2500,2880\n"), "{csv}");
     let csv = read(&out.join("north/average_day_by_position.csv"));
-    assert!(csv.contains("\n12:00,0.0,9.0000,60\n12:00,10.0,27.0000,60\n"), "{csv}");
+    assert!(csv.contains("\n12:00,1,0.0,6.0000,30\n12:00,1,10.0,18.0000,30\n"), "{csv}");
+    assert!(csv.contains("\n12:00,2,0.0,12.0000,30\n12:00,2,10.0,36.0000,30\n"), "{csv}");
     let csv = read(&out.join("north/completeness.csv"));
     assert!(csv.contains("\n2026-01-05,2,1440,1440,1080\n2026-01-07,1,1440,1440,1440\n"), "{csv}");
     let csv = read(&out.join("sites.csv"));
     // Two of three days; lane 2 has no density for a quarter of the day.
     assert!(csv.contains("north,2026-01-05,2026-01-07,2,2,66.67,58.33,"), "{csv}");
-    for (page, charts) in [("index.html", 2), ("north/index.html", 5), ("south/index.html", 5)] {
+    for (page, charts) in [("index.html", 2), ("north/index.html", 6), ("south/index.html", 6)] {
         let html = read(&out.join(page));
         assert_eq!(html.matches("<svg").count(), charts, "{page}");
         assert_eq!(html.matches("</svg>").count(), charts, "{page}");
@@ -95,7 +96,9 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
             assert!(target.exists(), "{page}: {}", target.display());
         }
     }
-    for picture in ["week.png", "north/completeness.png", "south/average_day_by_position.png"] {
+    for picture in
+        ["week.png", "north/completeness.png", "south/average_day_by_position_lane_2.png"]
+    {
         assert!(tiny_skia::Pixmap::load_png(out.join(picture)).is_ok(), "{picture}");
     }
     // The same archive gives the same report, whatever the number of threads.

@@ -12,7 +12,7 @@ mod firmware {
     use core::ptr::addr_of_mut;
     use core::time::Duration;
     use cortex_m_rt::entry;
-    use verge::density::{Aggregator, FrameCounts, Start};
+    use verge::density::{Aggregator, Start};
     use verge::hal::{Board, Switch, Watchdog};
     use verge::health::{Event, Health};
     use verge::lane::{LaneTable, Name};
@@ -71,32 +71,33 @@ mod firmware {
         // SAFETY: the flash is mapped before reset leaves the boot loader and never written.
         let bytes = unsafe { core::slice::from_raw_parts(TABLE_AT, TABLE_LEN) };
         let table = LaneTable::parse(bytes).ok()?;
-        let lanes = &table.description().lanes;
+        let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
+        let start = Start::AtNextWindow;
         let mut line =
-            Aggregator::new(lanes, &[WINDOW], INTERVAL, 0.75, Start::AtNextWindow).ok()?;
+            Aggregator::<1>::new(lanes, cell_m, &[WINDOW], INTERVAL, 0.75, start).ok()?;
         let mut health = Health::new(INTERVAL, Duration::ZERO);
         let mut seq = 0u64;
         loop {
             // SAFETY: single core, and the detector writes the next frame only after this
             // one's message has left.
             let frame = unsafe { addr_of_mut!(INBOX).read_volatile() };
-            let mut counts = FrameCounts::default();
+            let mut counts = line.counts();
             for (&contact, &class) in
                 frame.contacts.iter().zip(&frame.classes).take(frame.count as usize)
             {
                 let class = VehicleClass::ALL.get(usize::from(class)).copied();
                 if let Some(place) = table.place(contact) {
-                    counts.add(place.lane, class.unwrap_or(VehicleClass::Vehicle));
+                    counts.add(place.lane, place.s_m, class.unwrap_or(VehicleClass::Vehicle));
                 }
             }
             let time = UtcMs(frame.time_ms);
-            for report in &line.observe(time, &counts) {
+            for report in line.observe(time, &counts) {
                 seq = seq.wrapping_add(1);
                 let message = DensityMessage {
                     site: table.description().camera_id.clone(),
                     seq,
                     clock_synced: false,
-                    report: report.clone(),
+                    report,
                     calibration: CalibrationRef {
                         id: table.description().calibration_id.clone(),
                         sha256: table.description().calibration_sha256,

@@ -11,6 +11,7 @@ use mvcalib::report::{draw_lanes, draw_metres};
 use mvcalib::scene_reference::{picture, pictures, reference};
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
+use verge::lane::{DEFAULT_CELL_LENGTH_M, MAX_CELL_LENGTH_M, MIN_CELL_LENGTH_M};
 use verge::scene::Reference;
 
 /// Arguments of `table`.
@@ -24,6 +25,9 @@ pub struct Arguments {
     /// The lane table to write.
     #[arg(long)]
     out: PathBuf,
+    /// About how long the cells are by which density is told along a lane, m, from 2 to 100.
+    #[arg(long, value_name = "M", default_value_t = DEFAULT_CELL_LENGTH_M, value_parser = cell_length)]
+    cell_length: f32,
     /// Frames of the camera by which it is later noticed when it has moved. The first by name
     /// must show the pose of the calibration; the others, at other times and in other light,
     /// may sway against it. Polygons of the lanes file labelled `ignore` are left out.
@@ -41,6 +45,13 @@ pub struct Arguments {
     /// Make the table although the calibration says it cannot be trusted.
     #[arg(long)]
     force: bool,
+}
+
+fn cell_length(text: &str) -> std::result::Result<f32, String> {
+    let length_m = text.parse().ok();
+    length_m
+        .filter(|length_m| (MIN_CELL_LENGTH_M..=MAX_CELL_LENGTH_M).contains(length_m))
+        .ok_or_else(|| format!("give {MIN_CELL_LENGTH_M} to {MAX_CELL_LENGTH_M} m"))
 }
 
 impl Arguments {
@@ -91,7 +102,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let fallback = arguments.out.file_stem().unwrap_or_default().to_string_lossy();
     let overlay = arguments.drawing(&calibration.camera(), &lanes)?;
     let scene = arguments.scene(&file, calibration.camera().image_size)?;
-    let bytes = table(&calibration, &lanes, sha256, &fallback, scene.as_ref())?;
+    let bytes =
+        table(&calibration, &lanes, sha256, &fallback, scene.as_ref(), arguments.cell_length)?;
     write_whole(&arguments.out, &bytes)?;
     if let (Some(path), Some(png)) = (&arguments.overlay, overlay) {
         write_whole(path, &png)?;

@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Longest line that is read, bytes: ten times the largest message in JSON.
+/// Longest line that is read, bytes: several times the largest message in JSON.
 const MAX_LINE: usize = 64 << 10;
 
 /// Its arguments.

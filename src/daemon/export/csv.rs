@@ -1,4 +1,5 @@
-//! CSV (RFC 4180): one row a lane and window, an empty field for what is not known.
+//! CSV (RFC 4180): one row a lane and window, an empty field for what is not known; the cells
+//! of a lane stand in one field with `;` between them.
 
 use super::window_s;
 use crate::daemon::clock::rfc3339;
@@ -11,7 +12,8 @@ use std::borrow::Cow;
 /// The first line: units stand in the last word of a name.
 pub const HEADER: &str = "site,window_s,seq,from,to,clock_synced,lane,direction,density_veh_km,\
 density_se_veh_km,vehicles_mean,vehicle,car,van,bus,truck,motorcycle,space_occupancy,length_m,\
-frames_used,frames_expected,status,calibration,calibration_rel_err,model";
+frames_used,frames_expected,status,calibration,calibration_rel_err,model,cell_length_m,\
+cells_density_veh_km";
 
 /// The rows of one message, each but the last with its line end (CR LF; the last has its
 /// CR).
@@ -51,8 +53,15 @@ fn row(message: &DensityMessage, lane: &LaneReport) -> String {
         quoted(&message.calibration.id).into_owned(),
         number(message.calibration.rel_err),
         quoted(&message.model.name).into_owned(),
+        number(lane.cells.as_ref().map(|cells| cells.length_m)),
+        cells(lane),
     ]);
     fields.join(",")
+}
+
+fn cells(lane: &LaneReport) -> String {
+    let densities = lane.cells.iter().filter_map(|cells| cells.density_veh_km.as_ref()).flatten();
+    densities.map(|&density| number(Some(density))).collect::<Vec<_>>().join(";")
 }
 
 fn number(value: Option<f32>) -> String {
@@ -77,9 +86,9 @@ mod tests {
     fn golden_rows() {
         let expected = "\"k109f \"\"<&>\"\", east\",60,7,2026-01-05T08:00:00.000Z,\
             2026-01-05T08:01:00.000Z,true,1,away,24.25,3.5,3,0,1,2,3,4,5,0.1234,123.7,57,60,oK,\
-            c,0.02,m\r\n\
+            c,0.02,m,61.85,32.5;16\r\n\
             \"k109f \"\"<&>\"\", east\",60,7,2026-01-05T08:00:00.000Z,\
-            2026-01-05T08:01:00.000Z,true,2,unknown,,,,,,,,,,,123.7,3,60,poorContrast,c,0.02,m\r";
+            2026-01-05T08:01:00.000Z,true,2,unknown,,,,,,,,,,,123.7,3,60,poorContrast,c,0.02,m,61.85,\r";
         assert_eq!(rows(&message()), expected);
     }
 

@@ -87,7 +87,7 @@ fn window_s(message: &DensityMessage) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
+    use crate::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
     use crate::lane::Name;
     use crate::units::{Direction, LaneId, VehicleClass};
     use crate::wire::{CalibrationRef, ModelRef};
@@ -107,6 +107,10 @@ mod tests {
             frames_used: 57,
             frames_expected: 60,
             status: SampleZoneStatus::Ok,
+            cells: Some(Cells {
+                length_m: 61.85,
+                density_veh_km: Some([32.5, 16.0].into_iter().collect()),
+            }),
         };
         let missing = LaneReport {
             lane: LaneId::new(2).expect("in range"),
@@ -118,6 +122,7 @@ mod tests {
             space_occupancy: None,
             frames_used: 3,
             status: SampleZoneStatus::PoorContrast,
+            cells: Some(Cells { length_m: 61.85, density_veh_km: None }),
             ..measured.clone()
         };
         DensityMessage {

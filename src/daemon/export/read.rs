@@ -4,7 +4,7 @@
 //! more in it (`done` of a replay) is read; another schema version is refused.
 
 use crate::daemon::publish::payload::{SCHEMA, status_name};
-use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
+use crate::density::{self, LaneReport, MAX_LANE_CELLS, SampleZoneStatus, WindowReport};
 use crate::lane::Name;
 use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass};
 use crate::wire::{self, CalibrationRef, DensityMessage, ModelRef, WireError};
@@ -80,6 +80,11 @@ fn check(message: &DensityMessage) -> Result<(), ReadError> {
         if lane.space_occupancy.is_some_and(|share| share > 1.0) {
             return Err(value("space_occupancy", "more than 1".into()));
         }
+        let Some(cells) = &lane.cells else { continue };
+        quantity("cells.length_m", Some(cells.length_m))?;
+        for &density in cells.density_veh_km.iter().flatten() {
+            quantity("cells.density_veh_km", Some(density))?;
+        }
     }
     Ok(())
 }
@@ -123,6 +128,13 @@ struct Lane {
     frames_used: u32,
     frames_expected: u32,
     status: String,
+    cells: Option<Cells>,
+}
+
+#[derive(Deserialize)]
+struct Cells {
+    length_m: f32,
+    density_veh_km: Option<Vec<f32>>,
 }
 
 #[derive(Deserialize)]
@@ -194,7 +206,18 @@ fn lane(lane: Lane) -> Result<LaneReport, ReadError> {
         frames_used: lane.frames_used,
         frames_expected: lane.frames_expected,
         status: status.ok_or_else(|| value("status", format!("unknown: {:?}", lane.status)))?,
+        cells: lane.cells.map(cells).transpose()?,
     })
+}
+
+fn cells(given: Cells) -> Result<density::Cells, ReadError> {
+    let densities = |given: Vec<f32>| {
+        let many = |_| format!("{}, at most {MAX_LANE_CELLS} can be", given.len());
+        heapless::Vec::from_slice(&given).map_err(many)
+    };
+    let density_veh_km = given.density_veh_km.map(densities).transpose();
+    let density_veh_km = density_veh_km.map_err(|reason| value("cells.density_veh_km", reason))?;
+    Ok(density::Cells { length_m: given.length_m, density_veh_km })
 }
 
 fn by_class(given: BTreeMap<String, f32>) -> Result<[f32; VehicleClass::COUNT], ReadError> {
@@ -255,6 +278,9 @@ mod tests {
     fn the_topic_in_front_and_unknown_fields_are_passed_over() {
         assert_eq!(changed("{", "verge/k109f/density/60s {").as_ref(), Ok(&message()));
         assert_eq!(changed("\"schema\":1", "\"schema\":1,\"done\":true").as_ref(), Ok(&message()));
+        // A message from before cells were measured.
+        let without = changed("\"cells\"", "\"other\"").expect("a right message");
+        assert_eq!(without.report.lanes[0].cells, None);
     }
 
     #[test]
@@ -272,6 +298,9 @@ mod tests {
             ("08:01:00.000Z", "07:01:00.000Z", "to"),
             ("0101", "01", "calibration.sha256"),
             ("\"length_m\":123.7", "\"length_m\":-1", "length_m"),
+            ("\"length_m\":61.85", "\"length_m\":-1", "cells.length_m"),
+            ("[32.5,", "[-32.5,", "cells.density_veh_km"),
+            ("[32.5,", &format!("[{}", "1,".repeat(32)), "33, at most 32"),
             ("{", "[", "no density message"),
         ] {
             let error = changed(from, to).expect_err(to).to_string();
@@ -289,6 +318,6 @@ mod tests {
         let read = |text: &str| read(MessageForm::Postcard, text.as_bytes());
         assert_eq!(read("01zz"), Err(ReadError::Hex { at: 3 }));
         assert_eq!(read("012"), Err(ReadError::Hex { at: 4 }));
-        assert_eq!(read("0200000000"), Err(WireError::Version { found: 2 }.into()));
+        assert_eq!(read("0300000000"), Err(WireError::Version { found: 3 }.into()));
     }
 }

@@ -50,6 +50,13 @@ struct Lane<'a> {
     frames_used: u32,
     frames_expected: u32,
     status: &'static str,
+    cells: Option<Cells>,
+}
+
+#[derive(Serialize)]
+struct Cells {
+    length_m: f32,
+    density_veh_km: Option<Vec<f32>>,
 }
 
 #[derive(Serialize)]
@@ -92,13 +99,22 @@ impl<'a> From<&'a LaneReport> for Lane<'a> {
             frames_used: report.frames_used,
             frames_expected: report.frames_expected,
             status: status_name(report.status),
+            cells: report.cells.as_ref().map(|cells| Cells {
+                length_m: round(cells.length_m),
+                density_veh_km: cells
+                    .density_veh_km
+                    .as_ref()
+                    .map(|densities| densities.iter().copied().map(round).collect()),
+            }),
         }
     }
 }
 
-/// Four decimals: finer than any of these quantities is known.
+/// Four decimals: finer than any of these quantities is known. A number that is too large for
+/// them stays as it is.
 pub fn round(value: f32) -> f32 {
-    (value * 1e4).round() / 1e4
+    let rounded = (value * 1e4).round() / 1e4;
+    if rounded.is_finite() { rounded } else { value }
 }
 
 /// One window of one site. `done` stands in replayed windows alone: whether it is the last

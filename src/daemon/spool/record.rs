@@ -200,6 +200,15 @@ pub(super) mod tests {
         }
     }
 
+    /// A segment with one window, whose message stands there in these bytes.
+    pub(in super::super) fn segment_of(key: u64, message: &[u8]) -> Vec<u8> {
+        let body = [&key.to_le_bytes(), message].concat();
+        let len = u16::try_from(body.len()).expect("short").to_le_bytes();
+        let checked = [&[1][..], &len, &body].concat();
+        let crc = CRC.checksum(&checked).to_le_bytes();
+        [&HEAD[..], &SYNC, &checked, &crc].concat()
+    }
+
     fn records() -> Vec<Record> {
         vec![
             Record::Checkpoint(Checkpoint { next_key: 7, last_seq: vec![(60, 3), (900, 1)] }),

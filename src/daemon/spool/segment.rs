@@ -12,7 +12,8 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// Length of a segment, bytes: room for some 250 windows of eight lanes. Tests fill many.
+/// Length of a segment, bytes: room for some 120 windows of eight lanes with all cells. Tests
+/// fill many.
 pub(super) const SEGMENT: usize = if cfg!(test) { 16 } else { 256 } * 1024;
 
 /// One file of the spool.

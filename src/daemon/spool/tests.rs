@@ -54,6 +54,25 @@ fn windows_outlive_the_program_until_they_are_acknowledged() {
 }
 
 #[test]
+fn what_an_older_verge_has_left_is_delivered() {
+    let folder = folder();
+    let old = crate::wire::tests::format_1();
+    let path = folder.path().join(format!("{:020}.spool", 7));
+    std::fs::write(path, record::tests::segment_of(7, &old)).expect("writing a segment");
+    let mut spool = open(&folder);
+    spool.rewind();
+    let waiting = spool.next_arrear().expect("it waits");
+    assert_eq!((waiting.key, &waiting.message), (7, &crate::wire::decode(&old).expect("right")));
+    assert_eq!(waiting.message.report.lanes[0].cells, None);
+    // The file goes on with windows of today, and the numbers with them.
+    assert_eq!(accept(&mut spool, 60), 8);
+    drop(spool);
+    let mut spool = open(&folder);
+    assert_eq!(arrears(&mut spool), [(60, 300), (60, 301)]);
+    assert_eq!(spool.counts().damaged, 0);
+}
+
+#[test]
 fn a_crash_forgets_no_window_and_at_most_some_acknowledgements() {
     let folder = folder();
     let mut spool = open(&folder);

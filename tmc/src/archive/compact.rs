@@ -201,14 +201,14 @@ pub fn of_window(window: &Window) -> Vec<Row> {
         };
         rows.push(row.clone());
         let Some(cells) = &lane.cells else { continue };
-        for (cell, density) in cells.density_veh_km.iter().enumerate() {
+        for (cell, density) in cells.densities(lane.length_m).into_iter().enumerate() {
             let begin = cell as f32 * cells.length_m;
             let length_m = cells.length_m.min(lane.length_m - begin).max(0.0);
             rows.push(Row {
                 cell: Some(cell as i32),
                 position_m: Some(begin),
                 length_m,
-                density: *density,
+                density,
                 se: None,
                 vehicles: density.map(|density| density * length_m / 1000.0),
                 occupancy: None,
@@ -276,8 +276,9 @@ mod tests {
         assert_eq!(partitions.iter().map(|p| p.site.as_str()).collect::<Vec<_>>(), ["a", "b"]);
         assert_eq!(partitions[0].date(), "2026-01-05");
         let rows = store::read(&partitions[0].path(root)).unwrap();
-        // Five windows of two lanes, one of which has two cells.
-        assert_eq!(rows.len(), 5 * 4);
+        // Five windows of two lanes, with two cells and with four of which nothing is known.
+        assert_eq!(rows.len(), 5 * 8);
+        assert_eq!(rows.iter().filter(|row| row.cell.is_some()).count(), 5 * 6);
         let keys: BTreeSet<_> = rows.iter().map(Row::key).collect();
         assert_eq!(keys.len(), rows.len());
         assert_eq!(fs::read_dir(root.join("_rejected")).unwrap().count(), 1);

@@ -23,19 +23,23 @@ const LANE_COLOURS: [Colour; LANES] = [
 ];
 
 /// A chart with the name of its file.
-pub(super) type Chart = (&'static str, Drawing);
+pub(super) type Chart = (String, Drawing);
 
 /// The charts of a site.
 pub(super) fn of_site(summary: &Summary) -> Vec<Chart> {
-    let mut charts = vec![("average_day_by_lane", day_by_lane(summary))];
-    if !summary.road.is_empty() {
-        charts.push(("average_day_by_position", day_by_place(summary)));
+    let mut charts = vec![("average_day_by_lane".to_owned(), day_by_lane(summary))];
+    charts.push(("week".into(), week(&format!("{}: average week", summary.site), &summary.week)));
+    let lanes = summary.lanes_along();
+    if !lanes.is_empty() {
+        charts.push(("along_the_road".into(), along_the_road(summary)));
     }
-    charts.push(("week", week(&format!("{}: average week", summary.site), &summary.week)));
-    if !summary.road.is_empty() {
-        charts.push(("along_the_road", along_the_road(summary)));
+    // One scale for all lanes, so that their colours can be compared.
+    let top = lanes.iter().map(|&lane| highest(&summary.along[lane].day)).fold(1.0, f64::max);
+    for lane in lanes {
+        let name = format!("average_day_by_position_lane_{}", lane + 1);
+        charts.push((name, day_by_position(summary, lane, top)));
     }
-    charts.push(("completeness", completeness(summary)));
+    charts.push(("completeness".into(), completeness(summary)));
     charts
 }
 
@@ -43,12 +47,23 @@ fn hours() -> Vec<Tick> {
     (0..=8).map(|i| (f64::from(i) * 3.0, format!("{:02}:00", i * 3))).collect()
 }
 
-/// A map of rows over the time of day, row 0 below, with its colour scale.
-fn map(title: &str, name: &str, rows: &[[Mean; BINS]], y: [f64; 2], ticks: Vec<Tick>) -> Drawing {
+fn highest(rows: &[[Mean; BINS]]) -> f64 {
+    rows.iter().flatten().filter_map(|mean| mean.value()).fold(1.0, f64::max)
+}
+
+/// What stands beside the rows of a map.
+struct Side<'a> {
+    name: &'a str,
+    /// Lowest and highest value.
+    range: [f64; 2],
+    ticks: Vec<Tick>,
+}
+
+/// A map of rows over the time of day, row 0 below, with its colour scale from 0 to `top`.
+fn map(title: &str, rows: &[[Mean; BINS]], side: Side<'_>, top: f64) -> Drawing {
+    let Side { name, range: y, ticks } = side;
     let height = (rows.len() as u32 * 26 + 90).clamp(170, 460);
     let width = WIDTH - SCALE as u32;
-    let values = rows.iter().flatten().filter_map(|mean| mean.value());
-    let top = values.fold(0.0, f64::max).max(1.0);
     let mut axes = Axes::new([width, height], [0.0, 24.0], y);
     let row_height = (y[1] - y[0]) / rows.len() as f64;
     for (row, bins) in rows.iter().enumerate() {
@@ -92,13 +107,17 @@ fn day_by_lane(summary: &Summary) -> Drawing {
         .collect();
     let ticks = lanes.iter().enumerate().map(|(i, lane)| (i as f64 + 0.5, format!("{}", lane + 1)));
     let title = format!("{}: average day by lane", summary.site);
-    map(&title, "lane", &rows, [0.0, rows.len() as f64], ticks.collect())
+    let range = [0.0, rows.len() as f64];
+    let side = Side { name: "lane", range, ticks: ticks.collect() };
+    map(&title, &rows, side, highest(&rows))
 }
 
-fn day_by_place(summary: &Summary) -> Drawing {
-    let end = summary.road.len() as f64 * f64::from(summary.cell_m);
-    let title = format!("{}: average day along the road", summary.site);
-    map(&title, "position, m", &summary.day_by_place, [0.0, end], round_ticks([0.0, end]))
+fn day_by_position(summary: &Summary, lane: usize, top: f64) -> Drawing {
+    let along = &summary.along[lane];
+    let range = [0.0, along.position_m(along.day.len())];
+    let title = format!("{}: average day along lane {}", summary.site, lane + 1);
+    let side = Side { name: "from upstream end, m", range, ticks: round_ticks(range) };
+    map(&title, &along.day, side, top)
 }
 
 /// Weekday over time of day, Monday on top.
@@ -106,27 +125,29 @@ pub(super) fn week(title: &str, week: &[[Mean; BINS]]) -> Drawing {
     let rows: Vec<[Mean; BINS]> = week.iter().rev().copied().collect();
     let ticks = WEEKDAYS.iter().rev().enumerate();
     let ticks = ticks.map(|(i, name)| (i as f64 + 0.5, (*name).to_owned())).collect();
-    map(title, "weekday", &rows, [0.0, 7.0], ticks)
+    map(title, &rows, Side { name: "weekday", range: [0.0, 7.0], ticks }, highest(&rows))
 }
 
 fn along_the_road(summary: &Summary) -> Drawing {
-    let end = summary.road.len() as f64 * f64::from(summary.cell_m);
-    let values = summary.road.iter().flatten().filter_map(|mean| mean.value());
+    let lanes = summary.lanes_along();
+    let curve = |lane: usize| -> Vec<[f64; 2]> {
+        let along = &summary.along[lane];
+        let middle = |cell: usize| along.position_m(cell) + f64::from(along.cell_m) / 2.0;
+        let point = |(cell, mean): (usize, Mean)| Some([middle(cell), mean.value()?]);
+        along.means().enumerate().filter_map(point).collect()
+    };
+    let curves: Vec<_> = lanes.iter().map(|&lane| (lane, curve(lane))).collect();
+    let ends = lanes.iter().map(|&lane| &summary.along[lane]);
+    let end = ends.map(|along| along.position_m(along.day.len())).fold(1.0, f64::max);
+    let highest = curves.iter().flat_map(|(_, points)| points).map(|p| p[1]).fold(1.0, f64::max);
     // Room for the key above the curves.
-    let top = values.fold(1.0, f64::max) * (1.1 + 0.08 * summary.lanes().len() as f64);
+    let top = highest * (1.1 + 0.08 * lanes.len() as f64);
     let mut axes = Axes::new([WIDTH, 320], [0.0, end], [0.0, top]);
     let title = format!("{}: mean density along the road", summary.site);
-    axes.labels(&title, ["position, m", DENSITY]);
-    for (row, lane) in summary.lanes().into_iter().enumerate() {
-        let place = |cell: usize| (cell as f64 + 0.5) * f64::from(summary.cell_m);
-        let points: Vec<[f64; 2]> = summary
-            .road
-            .iter()
-            .enumerate()
-            .filter_map(|(cell, lanes)| Some([place(cell), lanes[lane].value()?]))
-            .collect();
-        axes.curve(&points, 2.0, LANE_COLOURS[lane]);
-        axes.key(row, &format!("lane {}", lane + 1), LANE_COLOURS[lane]);
+    axes.labels(&title, ["from upstream end, m", DENSITY]);
+    for (row, (lane, points)) in curves.iter().enumerate() {
+        axes.curve(points, 2.0, LANE_COLOURS[*lane]);
+        axes.key(row, &format!("lane {}", lane + 1), LANE_COLOURS[*lane]);
     }
     axes.finish()
 }

@@ -92,25 +92,38 @@ fn tables(summary: &Summary) -> Vec<File> {
         ("week.csv".to_owned(), week.into_bytes()),
         ("completeness.csv".to_owned(), complete.into_bytes()),
     ];
-    if summary.road.is_empty() {
-        return files;
-    }
-    let place = |cell: usize| cell as f64 * f64::from(summary.cell_m);
-    let mut road = String::from("lane,position_m,density_veh_km,windows\n");
-    for &lane in &lanes {
-        for (cell, means) in summary.road.iter().enumerate() {
-            let _ = writeln!(road, "{},{:.1},{}", lane + 1, place(cell), value(means[lane]));
-        }
-    }
-    let mut day = String::from("time,position_m,density_veh_km,windows\n");
-    for bin in 0..BINS {
-        for (cell, means) in summary.day_by_place.iter().enumerate() {
-            let _ = writeln!(day, "{},{:.1},{}", time(bin), place(cell), value(means[bin]));
-        }
-    }
-    files.push(("along_the_road.csv".into(), road.into_bytes()));
-    files.push(("average_day_by_position.csv".into(), day.into_bytes()));
+    files.extend(tables_along(summary));
     files
+}
+
+/// What is told by position along the lanes.
+fn tables_along(summary: &Summary) -> Vec<File> {
+    let lanes = summary.lanes_along();
+    if lanes.is_empty() {
+        return Vec::new();
+    }
+    let mut road = String::from("lane,position_m,density_veh_km,windows\n");
+    let mut day = String::from("time,lane,position_m,density_veh_km,windows\n");
+    for &lane in &lanes {
+        let along = &summary.along[lane];
+        for (cell, mean) in along.means().enumerate() {
+            let (place, mean) = (along.position_m(cell), value(mean));
+            let _ = writeln!(road, "{},{place:.1},{mean}", lane + 1);
+        }
+    }
+    for bin in 0..BINS {
+        for &lane in &lanes {
+            let along = &summary.along[lane];
+            for (cell, means) in along.day.iter().enumerate() {
+                let (place, mean) = (along.position_m(cell), value(means[bin]));
+                let _ = writeln!(day, "{},{},{place:.1},{mean}", time(bin), lane + 1);
+            }
+        }
+    }
+    vec![
+        ("along_the_road.csv".into(), road.into_bytes()),
+        ("average_day_by_position.csv".into(), day.into_bytes()),
+    ]
 }
 
 /// The page over all sites, and its table.

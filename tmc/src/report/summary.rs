@@ -52,6 +52,50 @@ pub struct Windows {
     pub known: u32,
 }
 
+/// Density along one lane.
+#[derive(Clone, Debug, Default)]
+pub struct Along {
+    /// Length of a cell, m; lanes differ by a little.
+    pub cell_m: f32,
+    /// Cell, from the lane's upstream end, x time of day.
+    pub day: Vec<[Mean; BINS]>,
+}
+
+impl Along {
+    fn add(&mut self, bin: usize, position_m: f32, length_m: f32, density: f32) {
+        if self.cell_m <= 0.0 {
+            // A lane's first cell is a whole one; its last may be short.
+            self.cell_m = length_m;
+        }
+        // Cells of another length, from another lane table, go to the nearest of these.
+        let cell = (position_m / self.cell_m).round();
+        if !(0.0..MOST_CELLS as f32).contains(&cell) {
+            return;
+        }
+        let cell = cell as usize;
+        if cell >= self.day.len() {
+            self.day.resize(cell + 1, [Mean::default(); BINS]);
+        }
+        self.day[cell][bin].add(density);
+    }
+
+    /// Where a cell begins, m.
+    pub fn position_m(&self, cell: usize) -> f64 {
+        cell as f64 * f64::from(self.cell_m)
+    }
+
+    /// The mean of each cell over all windows.
+    pub fn means(&self) -> impl Iterator<Item = Mean> {
+        self.day.iter().map(|bins| {
+            let all = |all: Mean, bin: &Mean| Mean {
+                sum: all.sum + bin.sum,
+                count: all.count + bin.count,
+            };
+            bins.iter().fold(Mean::default(), all)
+        })
+    }
+}
+
 /// The sums of one site.
 #[derive(Clone, Debug)]
 pub struct Summary {
@@ -66,12 +110,8 @@ pub struct Summary {
     pub day_by_lane: Vec<[Mean; LANES]>,
     /// Weekday (Monday first) x time of day, over all lanes.
     pub week: Vec<[Mean; BINS]>,
-    /// Length of a cell, m; 0 where boxes measure none.
-    pub cell_m: f32,
-    /// Cell x time of day, over all lanes.
-    pub day_by_place: Vec<[Mean; BINS]>,
-    /// Cell x lane.
-    pub road: Vec<[Mean; LANES]>,
+    /// Each lane (from 0) along the road; empty where boxes measure no cells.
+    pub along: [Along; LANES],
     /// Days since 1970 (UTC), each with its lanes.
     pub days: Vec<(i64, [Windows; LANES])>,
 }
@@ -86,9 +126,7 @@ impl Summary {
             rows: 0,
             day_by_lane: vec![[Mean::default(); LANES]; BINS],
             week: vec![[Mean::default(); BINS]; 7],
-            cell_m: 0.0,
-            day_by_place: Vec::new(),
-            road: Vec::new(),
+            along: Default::default(),
             days: Vec::new(),
         }
     }
@@ -110,7 +148,8 @@ impl Summary {
             let bin = (local.rem_euclid(DAY_MS) / BIN_MS) as usize;
             if !lanes {
                 if !density.is_nan() {
-                    self.place(bin, lane, columns.position_m[i], columns.length_m[i], density);
+                    let (position_m, length_m) = (columns.position_m[i], columns.length_m[i]);
+                    self.along[lane].add(bin, position_m, length_m, density);
                 }
                 continue;
             }
@@ -127,24 +166,6 @@ impl Summary {
         }
     }
 
-    fn place(&mut self, bin: usize, lane: usize, position_m: f32, length_m: f32, density: f32) {
-        if self.cell_m <= 0.0 {
-            // A lane's first cell is a whole one; its last may be short.
-            self.cell_m = length_m;
-        }
-        let cell = (position_m / self.cell_m).round();
-        if !(0.0..MOST_CELLS as f32).contains(&cell) {
-            return;
-        }
-        let cell = cell as usize;
-        if cell >= self.road.len() {
-            self.road.resize(cell + 1, [Mean::default(); LANES]);
-            self.day_by_place.resize(cell + 1, [Mean::default(); BINS]);
-        }
-        self.road[cell][lane].add(density);
-        self.day_by_place[cell][bin].add(density);
-    }
-
     /// Whether no row was of the wanted length.
     pub fn is_empty(&self) -> bool {
         self.days.is_empty()
@@ -153,6 +174,11 @@ impl Summary {
     /// Lanes (from 0) that have windows.
     pub fn lanes(&self) -> Vec<usize> {
         (0..LANES).filter(|&lane| self.days.iter().any(|day| day.1[lane].archived > 0)).collect()
+    }
+
+    /// Lanes (from 0) of which there are densities along the road.
+    pub fn lanes_along(&self) -> Vec<usize> {
+        (0..LANES).filter(|&lane| !self.along[lane].day.is_empty()).collect()
     }
 
     /// Windows that a day and lane would have.
@@ -182,8 +208,7 @@ impl Summary {
 
     /// The same without what only the site's own page shows, so that many fit into memory.
     pub fn without_places(mut self) -> Self {
-        self.day_by_place = Vec::new();
-        self.road = Vec::new();
+        self.along = Default::default();
         self
     }
 }
@@ -207,20 +232,28 @@ mod tests {
         };
         summary.add(20_458, &lanes);
         let cells = Columns {
-            window_s: vec![60, 60],
-            from_ms: vec![from, from],
-            lane: vec![1, 1],
-            position_m: vec![0.0, 10.0],
-            length_m: vec![10.0, 4.0],
-            density: vec![30.0, 40.0],
+            window_s: vec![60; 5],
+            from_ms: vec![from; 5],
+            lane: vec![1, 1, 2, 2, 2],
+            // The sixth cell of 11 m of lane 2 is the sixth, whatever the cells of lane 1.
+            position_m: vec![0.0, 10.0, 0.0, 55.0, 66.0],
+            length_m: vec![10.0, 4.0, 11.0, 11.0, 11.0],
+            density: vec![30.0, 40.0, 50.0, 60.0, f32::NAN],
         };
         summary.add(20_458, &cells);
-        assert_eq!((summary.rows, summary.lanes()), (5, vec![0, 1]));
+        assert_eq!((summary.rows, summary.lanes()), (8, vec![0, 1]));
         assert_eq!(summary.day_by_lane[30][0].value(), Some(15.0));
         assert_eq!(summary.day_by_lane[30][1].value(), None);
         assert_eq!(summary.week[1][30], Mean { sum: 30.0, count: 2 });
-        assert_eq!(summary.road[1][0].value(), Some(40.0));
-        assert_eq!(summary.day_by_place[0][30].value(), Some(30.0));
+        assert_eq!(summary.lanes_along(), [0, 1]);
+        let means = |lane: usize| summary.along[lane].means().map(Mean::value).collect::<Vec<_>>();
+        assert_eq!(means(0), [Some(30.0), Some(40.0)]);
+        assert_eq!(means(1), [Some(50.0), None, None, None, None, Some(60.0)]);
+        assert_eq!(summary.along[0].day[0][30].value(), Some(30.0));
+        assert_eq!(
+            (summary.along[1].day[5][29].value(), summary.along[1].position_m(5)),
+            (None, 55.0)
+        );
         let [archived, known] = summary.completeness(&summary.days[0].1);
         assert!((archived - 3.0 / 2880.0).abs() < 1e-12 && (known - 2.0 / 2880.0).abs() < 1e-12);
         assert_eq!(summary.mean().value(), Some(15.0));

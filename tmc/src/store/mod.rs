@@ -26,7 +26,7 @@ pub struct Row {
     pub from_ms: i64,
     /// Lane, from 1.
     pub lane: i32,
-    /// Cell of the lane, from 0 at its near end; none: the whole lane.
+    /// Cell of the lane, from 0 at its upstream end; none: the whole lane.
     pub cell: Option<i32>,
     /// Where the cell begins along the lane, m.
     pub position_m: Option<f32>,

@@ -14,6 +14,9 @@ pub(super) const IN_FLIGHT: usize = 16;
 /// Room in the client's queue: presence messages come on top of what is in flight.
 const QUEUE: usize = 2 * IN_FLIGHT;
 
+/// Largest packet, bytes: ten times a window of eight lanes with 32 cells in JSON.
+const MAX_PACKET: usize = 64 << 10;
+
 /// What a connection says.
 #[derive(Debug)]
 pub(super) enum Signal {
@@ -53,6 +56,7 @@ impl Link {
                 options.set_keep_alive(settings.keep_alive);
                 options.set_clean_session(true);
                 options.set_inflight(QUEUE as u16);
+                options.set_max_packet_size(MAX_PACKET, MAX_PACKET);
                 if let Some(tls) = &settings.tls {
                     options.set_transport(tls.transport());
                 }

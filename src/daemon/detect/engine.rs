@@ -5,16 +5,17 @@
 use super::head::Head;
 use super::letterbox::Into;
 use super::lower::{Lowered, lower};
+use super::onnx::ModelProto;
 use super::sidecar::Sidecar;
 use super::tail::Tail;
-use super::tract::{
-    DatumExt, Framework, InferenceFact, InferenceModelExt, IntoRunnable, TValue, Tensor,
-    TractError, TypedRunnableModel, tvec,
-};
-use super::{ModelError, forms, operators, pb};
+use super::{ModelError, forms, operators};
 use crate::daemon::flow::Detection;
+use prost::Message;
 use std::path::Path;
 use std::sync::Arc;
+use tract_hir::prelude::{
+    IntoRunnable, TValue, Tensor, TractError, TypedModel, TypedRunnableModel, tvec,
+};
 use verge_kernels::{Isa, Net};
 
 /// The arithmetic that a model is run in.
@@ -66,8 +67,10 @@ impl Engine {
             expected: expected.to_vec(),
             actual: actual.to_vec(),
         };
-        let reader = operators::reader();
-        let proto = reader.proto_model_for_read(&mut &bytes[..]).map_err(load)?;
+        let proto = ModelProto::decode(&bytes[..]).map_err(|error| ModelError::Load {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        })?;
         drop(bytes);
         let (width, height) = (sidecar.input.width_px, sidecar.input.height_px);
         let shape = [1, 3, height, width];
@@ -88,23 +91,14 @@ impl Engine {
             }
             Err(why) => why,
         };
-        // tract would round in operators of their own, slower than not at all.
-        let proto = forms::unrounded(proto);
-        let unknown = proto.graph.as_ref().map(|graph| operators::unknown(&reader, graph));
-        if let Some(names) = unknown.filter(|names| !names.is_empty()) {
-            let reason = format!("operators that are not known here: {}", names.join(", "));
-            return Err(ModelError::Load { path: path.to_owned(), reason });
-        }
-        let model = reader.model_for_proto_model(&proto).map_err(load)?;
-        if let Some(actual) = known_shape(model.input_fact(0).map_err(load)?)
-            && actual != shape
-        {
+        let given = proto.graph.as_ref().and_then(|graph| graph.input.first()?.shape());
+        if let Some(actual) = given.filter(|actual| *actual != shape) {
             return Err(mismatch("the input", &shape, &actual));
         }
-        let model = model
-            .with_input_fact(0, f32::fact(shape).into())
-            .and_then(InferenceModelExt::into_optimized)
-            .map_err(load)?;
+        // tract would round in operators of their own, slower than not at all.
+        let proto = forms::unrounded(proto);
+        let model =
+            operators::model(&proto, shape).and_then(TypedModel::into_optimized).map_err(load)?;
         let output = model.output_fact(0).map_err(load)?;
         let actual: Vec<usize> = output.shape.as_concrete().map(<[_]>::to_vec).unwrap_or_default();
         let expected = head.output_shape();
@@ -115,7 +109,7 @@ impl Engine {
         Ok(Self::Tract { plan, shape, planes: vec![0.0; 3 * height * width], why })
     }
 
-    fn on_kernels(proto: &pb::ModelProto, precision: Precision) -> Result<Lowered, String> {
+    fn on_kernels(proto: &ModelProto, precision: Precision) -> Result<Lowered, String> {
         let isa = match precision {
             Precision::Portable => Isa::Portable,
             Precision::AsStored | Precision::Float => Isa::best(),
@@ -191,10 +185,4 @@ impl Engine {
             (Self::Tract { .. }, Output::Inside) => Err("an output of another net".to_owned()),
         }
     }
-}
-
-/// The shape of a fact whose every dimension is known.
-fn known_shape(fact: &InferenceFact) -> Option<Vec<usize>> {
-    let dims = fact.shape.as_concrete_finite().ok()??;
-    Some(dims.to_vec())
 }

@@ -5,10 +5,9 @@
 //! convolve in int8; it leaves convolutions in floats where an activation stands between
 //! them and the rounding.
 
-use super::graph::{Graph, Values, attribute};
-use super::pb::{GraphProto, ModelProto, NodeProto, TensorProto, tensor_proto};
-use super::tract::Framework;
-use super::{ModelError, operators};
+use super::ModelError;
+use super::graph::{FLOAT, Graph, UINT8, Values, attribute};
+use super::onnx::{GraphProto, ModelProto, NodeProto, TensorProto};
 use prost::Message;
 use std::collections::HashMap;
 use std::path::Path;
@@ -30,9 +29,7 @@ pub fn forms(path: &Path) -> Result<Forms, ModelError> {
     let bytes =
         std::fs::read(path).map_err(|source| ModelError::Read { path: path.to_owned(), source })?;
     let load = |reason: String| ModelError::Load { path: path.to_owned(), reason };
-    let proto = operators::reader()
-        .proto_model_for_read(&mut &bytes[..])
-        .map_err(|error| load(format!("{error:#}")))?;
+    let proto = ModelProto::decode(&bytes[..]).map_err(|error| load(error.to_string()))?;
     let graph = proto.graph.as_ref().ok_or_else(|| load("a file without a graph".to_owned()))?;
     let is_int8 = graph.node.iter().any(is_rounding);
     let read = Graph::new(graph);
@@ -114,7 +111,7 @@ fn rounded_early(proto: &ModelProto, read: &Graph<'_>) -> ModelProto {
             graph.initializer.push(constant(&name("scale"), &[], &[scale]));
             graph.initializer.push(TensorProto {
                 name: name("zero"),
-                data_type: tensor_proto::DataType::Uint8 as i32,
+                data_type: UINT8,
                 raw_data: vec![zero],
                 ..TensorProto::default()
             });
@@ -148,7 +145,7 @@ fn constant(name: &str, dims: &[usize], values: &[f32]) -> TensorProto {
     TensorProto {
         name: name.to_owned(),
         dims: dims.iter().map(|&n| n as i64).collect(),
-        data_type: tensor_proto::DataType::Float as i32,
+        data_type: FLOAT,
         raw_data: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
         ..TensorProto::default()
     }

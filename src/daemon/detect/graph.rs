@@ -1,11 +1,11 @@
 //! An ONNX graph as it is read: constants, attributes, who reads what.
 
-use super::pb::{AttributeProto, GraphProto, NodeProto, TensorProto};
+use super::onnx::{AttributeProto, GraphProto, NodeProto, TensorProto};
 use std::collections::HashMap;
 
 /// Element types by their number in the ONNX standard, `TensorProto.DataType`.
-const FLOAT: i32 = 1;
-const UINT8: i32 = 2;
+pub(super) const FLOAT: i32 = 1;
+pub(super) const UINT8: i32 = 2;
 const INT8: i32 = 3;
 const INT32: i32 = 6;
 const INT64: i32 = 7;

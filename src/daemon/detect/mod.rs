@@ -1,8 +1,8 @@
 //! Detect: the second stage, from a picture to [`Detection`]s.
 //!
 //! Owns the model: its sidecar, its input, its output, non-maximum suppression. The door
-//! of the crate `tract`; its errors stop here. tract reads the model file; a graph that is
-//! recognised as a whole runs on the project's own kernels, any other in tract.
+//! of tract; its errors stop here. A graph that is recognised as a whole runs on the project's own
+//! kernels, any other in tract.
 
 mod engine;
 mod forms;
@@ -11,6 +11,7 @@ mod head;
 mod letterbox;
 mod lower;
 mod nms;
+mod onnx;
 mod operators;
 mod sidecar;
 mod tail;
@@ -27,7 +28,6 @@ use head::Head;
 use letterbox::Letterbox;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-use tract_onnx::{self as onnx, pb, prelude as tract, tract_hir as hir};
 
 /// Most boxes of one picture that reach non-maximum suppression, best first: eight lanes
 /// of 100 m at jam density, with ten cells firing on each vehicle, stay below.

@@ -1,337 +1,331 @@
-//! The operators that tract is given: those that convolutional detectors are made of.
+//! A graph into tract: the operators that convolutional detectors are made of.
 //!
-//! Owns how ONNX writes them. tract's own list has all of ONNX, and 10 MB of program with it
+//! Owns how ONNX writes them. tract's own reader has all of ONNX, and 10 MB of program with it
 //! (docs/inference.md); a model with another operator is refused by its name.
 
-use super::pb::{GraphProto, NodeProto};
-use super::{hir, onnx};
-use hir::internal::*;
-use hir::ops;
-use hir::tract_core::ops::nn::resize::{CoordTransformer, Interpolator, Nearest, Resize};
-use onnx::model::{OnnxOpRegister, ParsingContext};
-use ops::cnn::{Conv, HirMaxPool, HirSumPool, PaddingSpec, PoolSpec};
-use ops::nn::{DataFormat, Reducer};
+use super::graph::{Constant, Graph, Values, attribute, int, ints, word};
+use super::onnx::{ModelProto, NodeProto};
+use std::collections::HashMap;
+use tract_hir::internal::*;
+use tract_hir::ops::activations::{Clip, HardSigmoid};
+use tract_hir::ops::array::{Concat, Flatten, PermuteAxes, Reshape, Slice, Split};
+use tract_hir::ops::cnn::{Conv, HirMaxPool, HirSumPool, PaddingSpec, PoolSpec};
+use tract_hir::ops::nn::{
+    DataFormat, GlobalAvgPool, LayerSoftmax, Reduce, Reducer, hard_swish, sigmoid,
+};
+use tract_hir::ops::{binary::wire_rank_broadcast, math};
+use tract_hir::tract_core::ops::nn::leaky_relu;
+use tract_hir::tract_core::ops::nn::resize::{CoordTransformer, Interpolator, Nearest, Resize};
 
-type Built = TractResult<(Box<dyn InferenceOp>, Vec<String>)>;
-
-/// The reader of model files.
-pub(super) fn reader() -> onnx::Onnx {
-    let mut known = OnnxOpRegister::default();
-    known.insert("Constant", |context, node| done(value(context, node)?));
-    known.insert("Identity", |_, _| done(Box::<ops::identity::Identity>::default()));
-    known.insert("Add", |_, _| done(ops::math::Add.into_hir()));
-    known.insert("Sub", |_, _| done(ops::math::Sub.into_hir()));
-    known.insert("Mul", |_, _| done(ops::math::Mul.into_hir()));
-    known.insert("Div", |_, _| done(ops::math::Div.into_hir()));
-    known.insert("Exp", |_, _| done(ops::math::exp().into_hir()));
-    known.insert("Tanh", |_, _| done(ops::math::tanh().into_hir()));
-    known.insert("Sigmoid", |_, _| done(ops::nn::sigmoid().into_hir()));
-    known.insert("HardSwish", |_, _| done(ops::nn::hard_swish().into_hir()));
-    known.insert("HardSigmoid", hard_sigmoid);
-    known.insert("Relu", |_, _| done(expand(ops::activations::Clip::new(Some(0.0), None))));
-    known.insert("LeakyRelu", leaky_relu);
-    known.insert("Clip", clip);
-    known.insert("Conv", conv);
-    known.insert("MaxPool", |_, node| done(expand(HirMaxPool::new(pool(node)?, None))));
-    known.insert("AveragePool", average_pool);
-    known.insert("GlobalAveragePool", |_, _| done(expand(ops::nn::GlobalAvgPool)));
-    known.insert("ReduceMax", |context, node| reduce(context, node, Reducer::Max));
-    known.insert("ReduceMean", |context, node| reduce(context, node, Reducer::Mean));
-    known.insert("Softmax", softmax);
-    known.insert("Concat", |_, node| done(expand(ops::array::Concat::new(node.get_attr("axis")?))));
-    known.insert("Reshape", |_, _| done(expand(ops::array::Reshape::new(false))));
-    known.insert("Flatten", |_, node| {
-        done(expand(ops::array::Flatten::new(node.get_attr_opt("axis")?.unwrap_or(1))))
-    });
-    known.insert("Transpose", |_, node| {
-        let order: Option<Vec<usize>> = node.get_attr_opt_vec("perm")?;
-        done(expand(ops::array::PermuteAxes::new(order.map(Into::into))))
-    });
-    known.insert("Slice", slice);
-    known.insert("Split", split);
-    known.insert("Resize", resize);
-    onnx::Onnx { op_register: known, ..onnx::Onnx::default() }
-}
-
-/// The operators of `graph` that tract is not given, each once.
-pub(super) fn unknown(reader: &onnx::Onnx, graph: &GraphProto) -> Vec<String> {
-    let mut names: Vec<String> = graph
-        .node
-        .iter()
-        .filter(|node| !reader.op_register.0.contains_key(&node.op_type))
-        .map(|node| node.op_type.clone())
-        .collect();
-    names.sort_unstable();
-    names.dedup();
-    names
-}
-
-fn done(operator: Box<dyn InferenceOp>) -> Built {
-    Ok((operator, Vec::new()))
-}
-
-/// The value of a Constant.
-fn value(context: &ParsingContext<'_>, node: &NodeProto) -> TractResult<Box<dyn InferenceOp>> {
-    let tensor = context.load_tensor(node.get_attr("value")?)?;
-    Ok(Box::new(ops::konst::Const::new(tensor.into_arc_tensor())?))
-}
-
-/// Input `index`, which must be a constant; `None` where it is left out.
-fn constant(
-    context: &ParsingContext<'_>,
-    node: &NodeProto,
-    index: usize,
-) -> TractResult<Option<Tensor>> {
-    let Some(name) = node.input.get(index).filter(|name| !name.is_empty()) else {
-        return Ok(None);
-    };
-    for graph in context.parent_graphs.iter().rev() {
-        if let Some(tensor) = graph.initializer.iter().find(|tensor| tensor.name == *name) {
-            return context.load_tensor(tensor).map(Some);
+/// `proto` in tract, for an input of this shape.
+///
+/// # Errors
+/// The first operator that is not known, or used as it is not known here.
+pub(super) fn model(proto: &ModelProto, input: [usize; 4]) -> TractResult<TypedModel> {
+    let graph = proto.graph.as_ref().context("a file without a graph")?;
+    let (graph, version) = (&Graph::new(graph), proto.operators());
+    let mut model = TypedModel::default();
+    let mut outlets: HashMap<&str, OutletId> = HashMap::new();
+    let given = graph.proto.input.iter().find(|input| graph.constant(&input.name).is_none());
+    let given = given.context("no input")?;
+    outlets.insert(&given.name, model.add_source(&given.name, f32::fact(input))?);
+    for node in graph.proto.node.iter().filter(|node| node.op_type != "Constant") {
+        let told = || format!("{} {}", node.op_type, node.name);
+        let mut inputs: TVec<OutletId> = tvec![];
+        for name in node.input.iter().filter(|name| !name.is_empty()) {
+            let outlet = match (outlets.get(name.as_str()), graph.constant(name)) {
+                (Some(outlet), _) => *outlet,
+                (None, Some(constant)) => model.add_const(name, tensor(constant)?)?,
+                (None, None) => bail!("{}: input {name} is unknown", told()),
+            };
+            outlets.insert(name, outlet);
+            inputs.push(outlet);
         }
-        if let Some(node) = graph.node.iter().find(|node| node.output.contains(name)) {
-            ensure!(node.op_type == "Constant", "input {name} is computed");
-            return context.load_tensor(node.get_attr("value")?).map(Some);
+        let name = node.output.first().with_context(|| format!("{}: no output", told()))?;
+        let mut wiring = Wiring { graph, version, node, name, model: &mut model };
+        let made = wiring.wire(&inputs).with_context(told)?;
+        outlets.extend(node.output.iter().map(String::as_str).zip(made));
+    }
+    let output = graph.proto.output.first().context("no output")?;
+    let output = outlets.get(output.name.as_str()).context("an output that nothing makes")?;
+    model.select_output_outlets(&[*output])?;
+    Ok(model)
+}
+
+fn tensor(constant: &Constant) -> TractResult<Tensor> {
+    let dims = &constant.dims;
+    match &constant.values {
+        Values::F32(values) => Tensor::from_shape(dims, values),
+        Values::U8(values) => Tensor::from_shape(dims, values),
+        Values::I8(values) => Tensor::from_shape(dims, values),
+        Values::I32(values) => Tensor::from_shape(dims, values),
+        Values::I64(values) => Tensor::from_shape(dims, values),
+    }
+}
+
+/// One operator on its way into a model.
+struct Wiring<'a> {
+    graph: &'a Graph<'a>,
+    /// Of the operators.
+    version: i64,
+    node: &'a NodeProto,
+    name: &'a str,
+    model: &'a mut TypedModel,
+}
+
+impl Wiring<'_> {
+    fn wire(&mut self, inputs: &[OutletId]) -> TractResult<TVec<OutletId>> {
+        let node = self.node;
+        match node.op_type.as_str() {
+            "Identity" => Ok(inputs.into()),
+            "Add" => self.pair(math::add(), inputs),
+            "Sub" => self.pair(math::sub(), inputs),
+            "Mul" => self.pair(math::mul(), inputs),
+            "Div" => self.pair(math::div(), inputs),
+            "Exp" => self.one(math::exp(), inputs),
+            "Tanh" => self.one(math::tanh(), inputs),
+            "Sigmoid" => self.one(sigmoid(), inputs),
+            "HardSwish" => self.one(hard_swish(), inputs),
+            "LeakyRelu" => self.one(leaky_relu(self.float("alpha", 0.01)), inputs),
+            "HardSigmoid" => {
+                self.expand(&HardSigmoid(self.float("alpha", 0.2), self.float("beta", 0.5)), inputs)
+            }
+            "Relu" => self.expand(&Clip::new(Some(0.0), None), inputs),
+            "Clip" => {
+                let clip = Clip::new(self.bound("min", 1)?, self.bound("max", 2)?);
+                self.expand(&clip, &inputs[..1])
+            }
+            "Conv" => self.expand(&self.conv()?, inputs),
+            "MaxPool" => self.expand(&HirMaxPool::new(self.pool()?, None), inputs),
+            "AveragePool" => {
+                let with_padding = int(node, "count_include_pad", 0) != 0;
+                self.expand(&HirSumPool::new(self.pool()?, with_padding, true), inputs)
+            }
+            "GlobalAveragePool" => self.expand(&GlobalAvgPool, inputs),
+            "ReduceMax" => self.expand(&self.reduce(Reducer::Max)?, &inputs[..1]),
+            "ReduceMean" => self.expand(&self.reduce(Reducer::Mean)?, &inputs[..1]),
+            "Softmax" => self.expand(&self.softmax()?, inputs),
+            "Concat" => self.expand(&Concat::new(int(node, "axis", 0)), inputs),
+            "Reshape" => self.expand(&Reshape::new(int(node, "allowzero", 0) != 0), inputs),
+            "Flatten" => self.expand(&Flatten::new(int(node, "axis", 1)), inputs),
+            "Transpose" => {
+                let order: TVec<usize> = self.whole("perm")?;
+                let order = (!order.is_empty()).then_some(order);
+                self.expand(&PermuteAxes::new(order), inputs)
+            }
+            "Slice" => self.slice(inputs[0]),
+            "Split" => self.expand(&self.split()?, &inputs[..1]),
+            "Resize" | "Upsample" => self.resize(inputs[0]),
+            _ => bail!("an operator that is not known here"),
         }
     }
-    bail!("input {name} is unknown")
-}
 
-fn longs(tensor: &Tensor) -> TractResult<Vec<i64>> {
-    Ok(tensor.cast_to::<i64>()?.try_as_plain_ram()?.as_slice::<i64>()?.to_vec())
-}
-
-fn hard_sigmoid(_: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    let slope = node.get_attr_opt("alpha")?.unwrap_or(0.2);
-    let middle = node.get_attr_opt("beta")?.unwrap_or(0.5);
-    done(expand(ops::activations::HardSigmoid(slope, middle)))
-}
-
-fn leaky_relu(_: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    done(expand(ops::activations::LeakyRelu(node.get_attr_opt("alpha")?.unwrap_or(0.01))))
-}
-
-/// Bounds are attributes before version 11 of the operators, inputs since then.
-fn clip(context: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    let bound = |name: &str, index: usize| -> TractResult<Option<f32>> {
-        match constant(context, node, index)? {
-            Some(tensor) => tensor.cast_to_scalar::<f32>().map(Some),
-            None => node.get_attr_opt(name),
-        }
-    };
-    done(expand(ops::activations::Clip::new(bound("min", 1)?, bound("max", 2)?)))
-}
-
-/// Pixels of nothing around a picture, as `kind` has them written one by one.
-fn padding(
-    node: &NodeProto,
-    kind: fn(TVec<usize>, TVec<usize>) -> PaddingSpec,
-) -> TractResult<PaddingSpec> {
-    Ok(match node.get_attr_opt("auto_pad")?.unwrap_or("NOTSET") {
-        "NOTSET" => {
-            let pads: TVec<usize> = node.get_attr_opt_tvec("pads")?.unwrap_or(tvec![0; 4]);
-            let (before, after) = pads.split_at(pads.len() / 2);
-            kind(before.into(), after.into())
-        }
-        "VALID" => PaddingSpec::Valid,
-        "SAME_UPPER" => PaddingSpec::SameUpper,
-        "SAME_LOWER" => PaddingSpec::SameLower,
-        other => bail!("auto_pad {other}"),
-    })
-}
-
-fn conv(_: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    let mut conv = Conv::default().padding(padding(node, PaddingSpec::Explicit)?);
-    conv = conv.group(node.get_attr_opt("group")?.unwrap_or(1));
-    if let Some(shape) = node.get_attr_opt_tvec("kernel_shape")? {
-        conv = conv.kernel_shape(shape);
-    }
-    if let Some(dilations) = node.get_attr_opt_tvec("dilations")? {
-        conv = conv.dilations(dilations);
-    }
-    if let Some(strides) = node.get_attr_opt_tvec("strides")? {
-        conv = conv.strides(strides);
-    }
-    if node.input.len() > 2 {
-        conv = conv.bias_input(2);
-    }
-    done(expand(conv))
-}
-
-fn pool(node: &NodeProto) -> TractResult<PoolSpec> {
-    ensure!(node.output.len() == 1, "a pool that tells where its values were");
-    let up = node.get_attr_opt("ceil_mode")?.unwrap_or(0) != 0;
-    let padding = if up {
-        padding(node, |before, after| PaddingSpec::ExplicitOnnxPool(before, after, true))?
-    } else {
-        padding(node, |before, after| PaddingSpec::ExplicitOnnxPool(before, after, false))?
-    };
-    let shape = node.get_attr_tvec("kernel_shape")?;
-    let dilations = node.get_attr_opt_tvec("dilations")?;
-    let strides = node.get_attr_opt_tvec("strides")?;
-    Ok(PoolSpec::new(DataFormat::NCHW, shape, padding, dilations, strides, 0, 0))
-}
-
-fn average_pool(_: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    let with_padding = node.get_attr_opt("count_include_pad")?.unwrap_or(false);
-    done(expand(HirSumPool::new(pool(node)?, with_padding, true)))
-}
-
-/// Axes are an attribute before version 18 of the operators, an input since then.
-fn reduce(context: &ParsingContext<'_>, node: &NodeProto, by: Reducer) -> Built {
-    let axes = match constant(context, node, 1)? {
-        Some(axes) => Some(longs(&axes)?),
-        None => node.get_attr_opt_vec("axes")?,
-    };
-    let keep = node.get_attr_opt("keepdims")?.unwrap_or(true);
-    done(expand(ops::nn::Reduce::new(axes, keep, by)))
-}
-
-/// Over all axes from one on before version 13 of the operators, over one since then.
-fn softmax(context: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    let old = context.onnx_operator_set_version < 13;
-    let axis = node.get_attr_opt("axis")?.unwrap_or(if old { 1 } else { -1 });
-    done(expand(ops::nn::LayerSoftmax::new(axis, old)))
-}
-
-fn slice(_: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    ensure!(node.input.len() > 2, "bounds that are attributes (version 9 of the operators)");
-    let given = |index: usize| node.input.get(index).filter(|name| !name.is_empty());
-    let axes = given(3).map(|_| 3);
-    let steps = given(4).map(|_| if axes.is_some() { 4 } else { 3 });
-    done(Box::new(ops::array::StridedSlice {
-        begin_mask: 0,
-        end_mask: 0,
-        shrink_axis_mask: 0,
-        optional_axes_input: axes,
-        optional_steps_input: steps,
-    }))
-}
-
-/// Lengths are an attribute before version 13 of the operators, an input since then.
-fn split(context: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    let lengths = match constant(context, node, 1)? {
-        Some(lengths) => Some(longs(&lengths)?.into_iter().map(|n| n as usize).collect()),
-        None => node.get_attr_opt_vec("split")?,
-    };
-    let axis = node.get_attr_opt("axis")?.unwrap_or(0);
-    done(expand(Parts(ops::array::Split::new(axis, node.output.len(), lengths))))
-}
-
-/// A Split whose lengths are known: a second input, which repeats them, is not looked at.
-#[derive(Clone, Debug)]
-struct Parts(ops::array::Split);
-
-impl Expansion for Parts {
-    fn name(&self) -> StaticName {
-        "Split".into()
-    }
-
-    fn nboutputs(&self) -> TractResult<usize> {
-        self.0.nboutputs()
-    }
-
-    fn rules<'r, 'p: 'r, 's: 'r>(
-        &'s self,
-        solver: &mut Solver<'r>,
-        inputs: &'p [TensorProxy],
-        outputs: &'p [TensorProxy],
-    ) -> InferenceResult {
-        self.0.rules(solver, &inputs[..1], outputs)
-    }
-
-    fn wire(
-        &self,
-        prefix: &str,
-        model: &mut TypedModel,
+    fn expand(
+        &mut self,
+        operator: &impl Expansion,
         inputs: &[OutletId],
     ) -> TractResult<TVec<OutletId>> {
-        self.0.wire(prefix, model, &inputs[..1])
+        operator.wire(self.name, self.model, inputs)
     }
-}
 
-/// By a known factor or to a known size.
-fn resize(context: &ParsingContext<'_>, node: &NodeProto) -> Built {
-    // Version 10 of the operators has factors as the second input, later ones a region there.
-    let old = context.onnx_operator_set_version < 11;
-    let given = |index: usize| -> TractResult<Option<Tensor>> {
-        Ok(constant(context, node, index)?.filter(|tensor| tensor.len() == 4))
-    };
-    let word = |name: &str, default: &'static str| -> TractResult<String> {
-        Ok(node.get_attr_opt(name)?.unwrap_or(default).to_owned())
-    };
-    let factors = given(if old { 1 } else { 2 })?;
-    let sizes = if old { None } else { given(3)? };
-    ensure!(factors.is_some() != sizes.is_some(), "neither a factor nor a size, or both");
-    let places = word("coordinate_transformation_mode", "half_pixel")?;
-    let places = if old { "asymmetric".to_owned() } else { places };
-    let mode = word("mode", "nearest")?;
-    let nearest_pixel = mode == "nearest";
-    let doubled = |tensor: &Tensor| -> TractResult<bool> {
-        Ok(tensor.try_as_plain_ram()?.as_slice::<f32>()?.iter().all(|&by| by == 1.0 || by == 2.0))
-    };
-    // From corner to corner a pixel falls half-way between two at twice the size, and is the
-    // first one's; tract has no rounding that keeps to this at other factors.
-    let nearest = match (&*word("nearest_mode", "round_prefer_floor")?, &*places) {
-        ("floor", _) => Nearest::Floor,
-        ("round_prefer_floor", "asymmetric") => {
-            let known = factors.as_ref().map_or(Ok(false), doubled)?;
-            ensure!(known || !nearest_pixel, "the nearest pixel at another factor than 2");
-            Nearest::Floor
+    fn one(
+        &mut self,
+        operator: impl Into<Box<dyn TypedOp>>,
+        inputs: &[OutletId],
+    ) -> TractResult<TVec<OutletId>> {
+        self.model.wire_node(self.name, operator, &inputs[..1])
+    }
+
+    fn pair(
+        &mut self,
+        operator: impl Into<Box<dyn TypedOp>>,
+        inputs: &[OutletId],
+    ) -> TractResult<TVec<OutletId>> {
+        ensure!(inputs.len() == 2, "{} inputs", inputs.len());
+        let inputs = wire_rank_broadcast(self.name, self.model, inputs)?;
+        self.model.wire_node(self.name, operator, &inputs)
+    }
+
+    fn float(&self, name: &str, default: f32) -> f32 {
+        attribute(self.node, name).map_or(default, |attribute| attribute.f)
+    }
+
+    fn word(&self, name: &str, default: &'static str) -> &str {
+        Some(word(self.node, name)).filter(|word| !word.is_empty()).unwrap_or(default)
+    }
+
+    /// Whole numbers of an attribute; none where it is missing.
+    fn whole(&self, name: &str) -> TractResult<TVec<usize>> {
+        ints(self.node, name).iter().map(|&n| Ok(usize::try_from(n)?)).collect()
+    }
+
+    /// Input `index`, which must be a constant; `None` where it is left out.
+    fn constant(&self, index: usize) -> TractResult<Option<&Constant>> {
+        match self.node.input.get(index).filter(|name| !name.is_empty()) {
+            None => Ok(None),
+            Some(name) => self.graph.constant(name).context("an input that is computed").map(Some),
         }
-        _ => Nearest::RoundPreferCeil,
-    };
-    let (scales_input, sizes_input) = (factors.as_ref().map(|_| 1), sizes.as_ref().map(|_| 1));
-    let resize = Resize {
-        coord_transformer: CoordTransformer::parse(&places)?,
-        interpolator: Interpolator::parse(&mode)?,
-        nearest,
-        optional_scales_input: scales_input,
-        optional_sizes_input: sizes_input,
-    };
-    let to = factors.or(sizes).context("neither a factor nor a size")?;
-    done(expand(Enlarge { resize, to: to.into_arc_tensor() }))
-}
-
-/// A Resize with its factors or sizes.
-#[derive(Clone, Debug)]
-struct Enlarge {
-    resize: Resize,
-    to: Arc<Tensor>,
-}
-
-impl Expansion for Enlarge {
-    fn name(&self) -> StaticName {
-        "Resize".into()
     }
 
-    fn rules<'r, 'p: 'r, 's: 'r>(
-        &'s self,
-        solver: &mut Solver<'r>,
-        inputs: &'p [TensorProxy],
-        outputs: &'p [TensorProxy],
-    ) -> InferenceResult {
-        solver.equals(&inputs[0].datum_type, &outputs[0].datum_type)?;
-        solver.equals(&inputs[0].rank, &outputs[0].rank)?;
-        solver.given(&inputs[0].shape, move |solver, shape| {
-            let to = Some(&*self.to);
-            let (factors, sizes) =
-                if self.resize.optional_scales_input.is_some() { (to, None) } else { (None, to) };
-            let shape = self.resize.compute_output_shape(&shape, factors, sizes)?;
-            shape
-                .into_iter()
-                .enumerate()
-                .try_for_each(|(axis, length)| solver.equals(&outputs[0].shape[axis], length))
+    fn longs(&self, index: usize) -> TractResult<Option<&[i64]>> {
+        match self.constant(index)?.map(|constant| &constant.values) {
+            None => Ok(None),
+            Some(Values::I64(values)) => Ok(Some(values)),
+            Some(_) => bail!("input {index} is not of long numbers"),
+        }
+    }
+
+    fn floats(&self, index: usize) -> TractResult<Option<&[f32]>> {
+        match self.constant(index)?.map(|constant| &constant.values) {
+            None => Ok(None),
+            Some(Values::F32(values)) => Ok(Some(values)),
+            Some(_) => bail!("input {index} is not of floats"),
+        }
+    }
+
+    /// Bounds are attributes before version 11 of the operators, inputs since then.
+    fn bound(&self, name: &str, index: usize) -> TractResult<Option<f32>> {
+        let given = attribute(self.node, name).map(|attribute| attribute.f);
+        Ok(self.floats(index)?.and_then(|values| values.first().copied()).or(given))
+    }
+
+    /// Pixels of nothing around a picture, as `kind` has them written one by one.
+    fn padding(
+        &self,
+        kind: impl FnOnce(TVec<usize>, TVec<usize>) -> PaddingSpec,
+    ) -> TractResult<PaddingSpec> {
+        Ok(match self.word("auto_pad", "NOTSET") {
+            "NOTSET" => {
+                let given = self.whole("pads")?;
+                let pads = if given.is_empty() { tvec![0; 4] } else { given };
+                let (before, after) = pads.split_at(pads.len() / 2);
+                kind(before.into(), after.into())
+            }
+            "VALID" => PaddingSpec::Valid,
+            "SAME_UPPER" => PaddingSpec::SameUpper,
+            "SAME_LOWER" => PaddingSpec::SameLower,
+            other => bail!("auto_pad {other}"),
         })
     }
 
-    fn wire(
-        &self,
-        prefix: &str,
-        model: &mut TypedModel,
-        inputs: &[OutletId],
-    ) -> TractResult<TVec<OutletId>> {
-        let to = model.add_const(format!("{prefix}.to"), self.to.clone())?;
-        model.wire_node(prefix, self.resize.clone(), &[inputs[0], to])
+    fn conv(&self) -> TractResult<Conv> {
+        let mut conv = Conv::default().padding(self.padding(PaddingSpec::Explicit)?);
+        conv = conv.group(usize::try_from(int(self.node, "group", 1))?);
+        let given = |name: &str| -> TractResult<Option<TVec<usize>>> {
+            Ok(Some(self.whole(name)?).filter(|values| !values.is_empty()))
+        };
+        if let Some(shape) = given("kernel_shape")? {
+            conv = conv.kernel_shape(shape);
+        }
+        if let Some(dilations) = given("dilations")? {
+            conv = conv.dilations(dilations);
+        }
+        if let Some(strides) = given("strides")? {
+            conv = conv.strides(strides);
+        }
+        Ok(if self.node.input.len() > 2 { conv.bias_input(2) } else { conv })
+    }
+
+    fn pool(&self) -> TractResult<PoolSpec> {
+        ensure!(self.node.output.len() == 1, "a pool that tells where its values were");
+        let up = int(self.node, "ceil_mode", 0) != 0;
+        let padding = self.padding(|a, b| PaddingSpec::ExplicitOnnxPool(a, b, up))?;
+        let given = |name: &str| -> TractResult<Option<TVec<usize>>> {
+            Ok(Some(self.whole(name)?).filter(|values| !values.is_empty()))
+        };
+        let shape = self.whole("kernel_shape")?;
+        let (dilations, strides) = (given("dilations")?, given("strides")?);
+        Ok(PoolSpec::new(DataFormat::NCHW, shape, padding, dilations, strides, 0, 0))
+    }
+
+    /// Axes are an attribute before version 18 of the operators, an input since then.
+    fn reduce(&self, by: Reducer) -> TractResult<Reduce> {
+        let given = ints(self.node, "axes");
+        let axes = self.longs(1)?.unwrap_or(given).to_vec();
+        let axes = (!axes.is_empty()).then_some(axes);
+        Ok(Reduce::new(axes, int(self.node, "keepdims", 1) != 0, by))
+    }
+
+    /// Over all axes from one on before version 13 of the operators, over one since then.
+    fn softmax(&self) -> TractResult<LayerSoftmax> {
+        let old = self.version < 13;
+        let axis = int(self.node, "axis", if old { 1 } else { -1 });
+        Ok(LayerSoftmax::new(isize::try_from(axis)?, old))
+    }
+
+    fn slice(&mut self, input: OutletId) -> TractResult<TVec<OutletId>> {
+        let (starts, ends) = (self.longs(1)?, self.longs(2)?);
+        let (Some(starts), Some(ends)) = (starts, ends) else { bail!("bounds that are missing") };
+        let all: Vec<i64> = (0..starts.len() as i64).collect();
+        let axes = self.longs(3)?.unwrap_or(&all);
+        let steps = self.longs(4)?;
+        ensure!(steps.is_none_or(|s| s.iter().all(|&step| step == 1)), "steps other than 1");
+        ensure!(starts.len() == ends.len() && axes.len() == ends.len(), "bounds of other axes");
+        let mut wire = input;
+        let bounds: Vec<(i64, i64, i64)> =
+            axes.iter().zip(starts).zip(ends).map(|((&a, &s), &e)| (a, s, e)).collect();
+        for (axis, start, end) in bounds {
+            let shape = self.model.outlet_fact(wire)?.shape.clone();
+            let axis = if axis < 0 { axis + shape.rank() as i64 } else { axis };
+            let axis = usize::try_from(axis).ok().filter(|&axis| axis < shape.rank());
+            let axis = axis.context("an axis that there is not")?;
+            let length = shape[axis].to_i64()?;
+            let place = |at: i64| (if at < 0 { at + length } else { at }).clamp(0, length) as usize;
+            let (start, end) = (place(start), place(end));
+            ensure!(start < end, "{start}..{end} of {length}");
+            let name = format!("{}.{axis}", self.name);
+            wire = self.model.wire_node(name, Slice::new(axis, start, end), &[wire])?[0];
+        }
+        Ok(tvec!(wire))
+    }
+
+    /// Lengths are an attribute before version 13 of the operators, an input since then.
+    fn split(&self) -> TractResult<Split> {
+        let given = ints(self.node, "split");
+        let lengths = self.longs(1)?.unwrap_or(given);
+        let lengths: Vec<usize> =
+            lengths.iter().map(|&n| Ok(usize::try_from(n)?)).collect::<TractResult<_>>()?;
+        let lengths = (!lengths.is_empty()).then_some(lengths);
+        let axis = isize::try_from(int(self.node, "axis", 0))?;
+        Ok(Split::new(axis, self.node.output.len(), lengths))
+    }
+
+    /// By a known factor or to a known size.
+    fn resize(&mut self, input: OutletId) -> TractResult<TVec<OutletId>> {
+        // Version 10 of the operators has factors as the second input, later ones a region.
+        let old = self.version < 11;
+        let factors = self.floats(if old { 1 } else { 2 })?.filter(|by| by.len() == 4);
+        let sizes = if old { None } else { self.longs(3)?.filter(|to| to.len() == 4) };
+        let places = if old {
+            "asymmetric"
+        } else {
+            self.word("coordinate_transformation_mode", "half_pixel")
+        };
+        let mode = self.word("mode", "nearest");
+        // From corner to corner a pixel falls half-way between two at twice the size, and is
+        // the first one's; tract has no rounding that keeps to this at other factors.
+        let nearest = match (self.word("nearest_mode", "round_prefer_floor"), places) {
+            ("floor", _) => Nearest::Floor,
+            ("round_prefer_floor", "asymmetric") => {
+                let doubled = factors.is_some_and(|by| by.iter().all(|&by| by == 1.0 || by == 2.0));
+                ensure!(doubled || mode != "nearest", "the nearest pixel at another factor than 2");
+                Nearest::Floor
+            }
+            _ => Nearest::RoundPreferCeil,
+        };
+        let resize = Resize {
+            coord_transformer: CoordTransformer::parse(places)?,
+            interpolator: Interpolator::parse(mode)?,
+            nearest,
+            optional_scales_input: factors.map(|_| 1),
+            optional_sizes_input: sizes.map(|_| 1),
+        };
+        let to = match (factors, sizes) {
+            (Some(factors), None) => tensor1(factors),
+            (None, Some(sizes)) => tensor1(sizes),
+            _ => bail!("neither a factor nor a size, or both"),
+        };
+        let to = self.model.add_const(format!("{}.to", self.name), to)?;
+        self.model.wire_node(self.name, resize, &[input, to])
     }
 }

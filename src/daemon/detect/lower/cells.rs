@@ -1,7 +1,7 @@
 //! What follows the last convolutions: cells of several pictures and their columns.
 
 use super::super::graph::{int, ints};
-use super::super::pb::NodeProto;
+use super::super::onnx::NodeProto;
 use super::super::tail::Part;
 use super::{Lowering, Refusal, Value};
 use verge_kernels::Tensor;

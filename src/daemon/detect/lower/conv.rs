@@ -1,7 +1,7 @@
 //! Convolutions, with the rounding and the activation behind them, and pooling.
 
 use super::super::graph::{Values, attribute, int, ints, word};
-use super::super::pb::NodeProto;
+use super::super::onnx::NodeProto;
 use super::{Lowering, Refusal, Value, steps};
 use verge_kernels::{Conv, Steps, Weights};
 

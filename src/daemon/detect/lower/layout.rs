@@ -1,7 +1,7 @@
 //! What moves, joins or enlarges pictures.
 
 use super::super::graph::{int, ints, word};
-use super::super::pb::NodeProto;
+use super::super::onnx::NodeProto;
 use super::cells::Rows;
 use super::{Lowering, Refusal, Value};
 use verge_kernels::{Shape, Tensor};

@@ -12,7 +12,7 @@ mod layout;
 pub(super) use conv::floats;
 
 use super::graph::{Graph, Values};
-use super::pb::{GraphProto, NodeProto};
+use super::onnx::{GraphProto, NodeProto, ValueInfoProto};
 use super::tail::Part;
 use cells::Rows;
 use std::collections::{HashMap, HashSet};
@@ -87,21 +87,8 @@ pub(super) fn lower(proto: &GraphProto, float: bool, isa: Isa) -> Result<Lowered
     }
 }
 
-fn input_shape(input: &super::pb::ValueInfoProto) -> Option<Shape> {
-    use super::pb::tensor_shape_proto::dimension::Value;
-    use super::pb::type_proto;
-    let type_proto::Value::TensorType(tensor) = input.r#type.as_ref()?.value.as_ref()?;
-    let dims: Option<Vec<usize>> = tensor
-        .shape
-        .as_ref()?
-        .dim
-        .iter()
-        .map(|dim| match dim.value {
-            Some(Value::DimValue(n)) => usize::try_from(n).ok(),
-            _ => None,
-        })
-        .collect();
-    match dims?[..] {
+fn input_shape(input: &ValueInfoProto) -> Option<Shape> {
+    match input.shape()?[..] {
         [1, channels, height, width] => Some(Shape { height, width, channels }),
         _ => None,
     }

@@ -10,6 +10,7 @@ use tract_hir::internal::*;
 use tract_hir::ops::activations::{Clip, HardSigmoid};
 use tract_hir::ops::array::{Concat, Flatten, PermuteAxes, Reshape, Slice, Split};
 use tract_hir::ops::cnn::{Conv, HirMaxPool, HirSumPool, PaddingSpec, PoolSpec};
+use tract_hir::ops::downsample::Downsample;
 use tract_hir::ops::nn::{
     DataFormat, GlobalAvgPool, LayerSoftmax, Reduce, Reducer, hard_swish, sigmoid,
 };
@@ -258,13 +259,15 @@ impl Wiring<'_> {
         let (Some(starts), Some(ends)) = (starts, ends) else { bail!("bounds that are missing") };
         let all: Vec<i64> = (0..starts.len() as i64).collect();
         let axes = self.longs(3)?.unwrap_or(&all);
-        let steps = self.longs(4)?;
-        ensure!(steps.is_none_or(|s| s.iter().all(|&step| step == 1)), "steps other than 1");
-        ensure!(starts.len() == ends.len() && axes.len() == ends.len(), "bounds of other axes");
+        let ones = vec![1; starts.len()];
+        let steps = self.longs(4)?.unwrap_or(&ones);
+        ensure!(steps.iter().all(|&step| step > 0), "steps backwards");
+        let same = |of: &[i64]| of.len() == starts.len();
+        ensure!(same(ends) && same(axes) && same(steps), "bounds of other axes");
+        let bounds: Vec<[i64; 4]> =
+            (0..starts.len()).map(|i| [axes[i], starts[i], ends[i], steps[i]]).collect();
         let mut wire = input;
-        let bounds: Vec<(i64, i64, i64)> =
-            axes.iter().zip(starts).zip(ends).map(|((&a, &s), &e)| (a, s, e)).collect();
-        for (axis, start, end) in bounds {
+        for [axis, start, end, step] in bounds {
             let shape = self.model.outlet_fact(wire)?.shape.clone();
             let axis = if axis < 0 { axis + shape.rank() as i64 } else { axis };
             let axis = usize::try_from(axis).ok().filter(|&axis| axis < shape.rank());
@@ -274,7 +277,11 @@ impl Wiring<'_> {
             let (start, end) = (place(start), place(end));
             ensure!(start < end, "{start}..{end} of {length}");
             let name = format!("{}.{axis}", self.name);
-            wire = self.model.wire_node(name, Slice::new(axis, start, end), &[wire])?[0];
+            wire = self.model.wire_node(&name, Slice::new(axis, start, end), &[wire])?[0];
+            if step > 1 {
+                let every = Downsample::new(axis, isize::try_from(step)?, 0);
+                wire = self.model.wire_node(format!("{name}.every"), every, &[wire])?[0];
+            }
         }
         Ok(tvec!(wire))
     }

@@ -384,11 +384,27 @@ fn export(message: &DensityMessage) {
     }
 }
 
+/// The message as an older verge writes it: without cells.
+fn format_1(message: &DensityMessage) -> Vec<u8> {
+    let mut message = message.clone();
+    message.report.lanes.iter_mut().for_each(|lane| lane.cells = None);
+    let mut buffer = [0; wire::MAX_MESSAGE];
+    let bytes = wire::encode(&message, &mut buffer).expect("fits");
+    // Behind the body stands a zero for each lane, and the checksum.
+    let body = &bytes[1..bytes.len() - 4 - message.report.lanes.len()];
+    let mut old = [&[1], body].concat();
+    old.extend_from_slice(&CRC.checksum(&old).to_le_bytes());
+    assert_eq!(wire::decode(&old).as_ref(), Ok(&message));
+    old
+}
+
 #[test]
 fn wire_messages() {
     let mut buffer = [0; wire::MAX_MESSAGE];
     let encoded = |message| wire::encode(message, &mut buffer).expect("fits").to_vec();
-    let corpus = messages_to_begin_with().iter().map(encoded).collect();
+    let messages = messages_to_begin_with();
+    let mut corpus: Vec<_> = messages.iter().map(encoded).collect();
+    corpus.extend(messages.iter().map(format_1));
     let target = Target {
         name: "wire_messages",
         executions: 50_000,

@@ -1,7 +1,7 @@
 //! A graph into tract: the operators that convolutional detectors are made of.
 //!
-//! Owns how ONNX writes them. tract's own reader has all of ONNX, and 10 MB of program with it
-//! (docs/inference.md); a model with another operator is refused by its name.
+//! Owns how ONNX writes them. tract's own reader keeps all of ONNX in the program
+//! (docs/inference.md, Footprint); a model with another operator is refused by its name.
 
 use super::graph::{Constant, Graph, Values, attribute, int, ints, word};
 use super::onnx::{ModelProto, NodeProto};

@@ -60,6 +60,16 @@ pub enum Alarm {
 }
 
 impl Alarm {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::NoPicture,
+        Self::FrozenPicture,
+        Self::BlankPicture,
+        Self::BlindedPicture,
+        Self::BlurredPicture,
+        Self::CameraMoved,
+    ];
+
     /// The alarm's name in topics.
     pub const fn name(self) -> &'static str {
         match self {

@@ -84,7 +84,7 @@ impl Metrics {
             text.sample(&[("status", status)], u8::from(status == health.status));
         }
         text.family("verge_alarm_active", "gauge", "1 while the alarm is on.");
-        for alarm in [Alarm::NoPicture, Alarm::FrozenPicture].map(Alarm::name) {
+        for alarm in Alarm::ALL.map(Alarm::name) {
             text.sample(&[("alarm", alarm)], u8::from(health.alarm == Some(alarm)));
         }
         let (frames, messages) = (health.frames, health.messages);
@@ -94,6 +94,7 @@ impl Metrics {
             ("unchanged", frames.unchanged),
             ("damaged", frames.damaged),
             ("missing", frames.missing),
+            ("withheld", frames.withheld),
         ] {
             text.sample(&[("outcome", outcome)], count);
         }
@@ -243,7 +244,7 @@ mod tests {
             alarm: Some("no_picture"),
             uptime_s: 75,
             clock_synced: true,
-            frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3, withheld: 0 },
+            frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3, withheld: 8 },
             stream: Stream::default(),
             camera: None,
             board: Board::default(),
@@ -304,7 +305,9 @@ mod tests {
             ("verge_status{status=\"poorContrast\"}", 1.0),
             ("verge_alarm_active{alarm=\"no_picture\"}", 1.0),
             ("verge_alarm_active{alarm=\"frozen_picture\"}", 0.0),
+            ("verge_alarm_active{alarm=\"camera_moved\"}", 0.0),
             ("verge_frames_total{outcome=\"missing\"}", 3.0),
+            ("verge_frames_total{outcome=\"withheld\"}", 8.0),
             ("verge_messages_delivered_total", 4.0),
             ("verge_messages_waiting", 5.0),
             ("verge_messages_dropped_total", 6.0),

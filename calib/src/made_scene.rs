@@ -75,6 +75,21 @@ pub struct MadeScene {
     pub truth: Camera,
     /// Road marks without noise, for judging.
     pub marks: Marks,
+    /// The same camera in the terms of the joint method.
+    pub state: CameraState,
+    /// How the vehicles really stand, in the problem's order.
+    pub standing: Vec<Standing>,
+}
+
+/// What a made vehicle is and how it stands on the road.
+#[derive(Clone, Copy, Debug)]
+pub struct Standing {
+    /// Index of the model that it is, or is like.
+    pub model: usize,
+    /// Where its middle is on the road, m.
+    pub position: Vector2<f64>,
+    /// Its yaw, rad.
+    pub yaw: f64,
 }
 
 /// Hong Kong's camera in the paper: 320 x 240, marks 6 m apart.
@@ -115,19 +130,20 @@ fn attempt(kind: &Kind, models: &[VehicleModel], rng: &mut ChaCha8Rng) -> Option
     let state =
         CameraState { log_f: f.ln(), tilt, roll, log_height: h.ln(), ..CameraState::default() };
     let truth = state.camera(kind.image_size);
-    let mut vehicles = Vec::new();
+    let (mut vehicles, mut standing) = (Vec::new(), Vec::new());
     for index in 0..kind.vehicles {
         let name = format!("vehicle_{:02}", index + 1);
-        let found = (0..ATTEMPTS).find_map(|_| {
+        let (found, stands) = (0..ATTEMPTS).find_map(|_| {
             let y = near * rng.random_range(0.0..(far / near).ln()).exp();
             let x = rng.random_range(-6.0..6.0);
             vehicle(kind, models, &truth, &name, Vector2::new(x, y), fleet, rng)
         })?;
         vehicles.push(found);
+        standing.push(stands);
     }
     let marks = marks(kind, &truth, near, far)?;
     let problem = Problem::new(kind.image_size, vehicles, models.to_vec()).ok()?;
-    Some(MadeScene { problem, truth, marks })
+    Some(MadeScene { problem, truth, marks, state, standing })
 }
 
 /// Size of the mean car along each axis against the models'.
@@ -153,8 +169,8 @@ fn vehicle(
     at: Vector2<f64>,
     fleet: Vector3<f64>,
     rng: &mut ChaCha8Rng,
-) -> Option<Vehicle> {
-    let model = &models[rng.random_range(0..models.len())];
+) -> Option<(Vehicle, Standing)> {
+    let index = rng.random_range(0..models.len());
     let unknown = if kind.fleet == Fleet::Known { 0.0 } else { 1.0 };
     let size = (0.04 * unknown * normal(rng)).exp();
     let axes = Vector3::from_fn(|_, _| size * (0.03 * unknown * normal(rng)).exp());
@@ -166,7 +182,7 @@ fn vehicle(
     let hidden = if rng.random_bool(0.5) { first } else { first + 1 };
     let [width, height] = kind.image_size.map(f64::from);
     let mut points = Vec::new();
-    for (label, point) in (1u8..).zip(&model.points) {
+    for (label, point) in (1u8..).zip(&models[index].points) {
         let scatter = Vector3::from_fn(|_, _| 0.05 * unknown * normal(rng));
         let noise = Vector2::from_fn(|_, _| kind.noise_px * normal(rng));
         let Some(point) = point.filter(|_| label != hidden && kind.seen.shows(label)) else {
@@ -182,7 +198,8 @@ fn vehicle(
         }
         points.push(KeyPoint { label, uv });
     }
-    Some(Vehicle { name: name.to_owned(), points })
+    let standing = Standing { model: index, position: at, yaw };
+    Some((Vehicle { name: name.to_owned(), points }, standing))
 }
 
 /// Two lines of one to six segments, from the nearest to the furthest vehicle, as far as

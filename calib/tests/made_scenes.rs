@@ -80,6 +80,34 @@ fn joint_beats_the_papers_method() {
 }
 
 #[test]
+fn cars_from_the_set_are_told_from_others() {
+    let exactly = |fleet, seed| {
+        let kind = Kind { fleet, noise_px: 0.5, ..SAC_LIKE };
+        let scene = make(&kind, &models(), seed);
+        let found = joint::calibrate(&scene.problem, &Settings::default()).unwrap();
+        let of = |f: &&(joint::Fleet, f64)| f.0 == joint::Fleet::LikeModels(0.0);
+        found.fleets.iter().find(of).unwrap().1
+    };
+    let known = median((0..9).map(|seed| exactly(Fleet::Known, seed)).collect());
+    let unknown = median((0..9).map(|seed| exactly(Fleet::Unknown, seed)).collect());
+    println!("exactly the models: {known:.3} known, {unknown:.3} unknown");
+    assert!(known > 0.9 && unknown < 0.1, "{known} {unknown}");
+}
+
+#[test]
+fn cars_from_the_set_make_a_camera_as_good_as_their_true_shapes_would() {
+    let kind = Kind { noise_px: 0.5, ..SAC_LIKE };
+    let errors = (0..15).map(|seed| {
+        let scene = make(&kind, &models(), seed);
+        let found = joint::calibrate(&scene.problem, &Settings::default()).unwrap();
+        scene.marks.verify(&found.camera()).unwrap().mape_pct
+    });
+    // An oracle that is told the shapes has 0.6 % (docs/calibration.md).
+    let median = median(errors.collect());
+    assert!(median < 0.75, "{median:.2} %");
+}
+
+#[test]
 fn vehicles_seen_from_behind_calibrate_too() {
     let models = parse_models(include_str!("../data/vehicles_rear.json")).unwrap();
     let kind = Kind { seen: Seen::Rear, ..SAC_LIKE };

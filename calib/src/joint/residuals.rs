@@ -13,6 +13,9 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 /// (pseudo-Huber).
 const ROBUST_SD: f64 = 3.0;
 
+/// A decrease of a vehicle's cost, in nats, below which its state has settled.
+const SETTLED: f64 = 1e-6;
+
 /// Square information of one vehicle and its coupling with the camera.
 #[derive(Clone, Debug)]
 pub struct Block {
@@ -28,9 +31,12 @@ pub struct Block {
     pub gv: VehicleStep,
 }
 
-/// A vehicle's key points with the noise that each is taken to have.
+/// A vehicle's key points with the noise that each is taken to have, and what the vehicle
+/// may be.
 #[derive(Clone, Debug)]
 pub struct Observed {
+    /// What the vehicle may look like.
+    pub shape: ShapePrior,
     /// Label and position (px) of each key point.
     pub points: Vec<(u8, Vector2<f64>)>,
     /// Standard deviation of each coordinate of each point, px.
@@ -39,12 +45,25 @@ pub struct Observed {
 
 impl Observed {
     /// The points of a vehicle that the shape prior knows, all with the same noise (px).
-    pub fn of(vehicle: &Vehicle, prior: &ShapePrior, sd_px: f64) -> Self {
-        let known = |p: &&crate::vehicle::KeyPoint| prior.point(p.label, &Default::default());
+    pub fn of(vehicle: &Vehicle, shape: ShapePrior, sd_px: f64) -> Self {
+        let known = |p: &&crate::vehicle::KeyPoint| shape.point(p.label, &Default::default());
         let points: Vec<_> =
             vehicle.points.iter().filter(|p| known(p).is_some()).map(|p| (p.label, p.uv)).collect();
         let sd_px = vec![sd_px; points.len()];
-        Observed { points, sd_px }
+        Observed { shape, points, sd_px }
+    }
+
+    /// Gives every point the label noise (px) and the scatter of a key point on the car, see
+    /// [`Self::misfits`].
+    pub fn set_noise(&mut self, label_sd_px: f64, misfits: &[(f64, f64)]) {
+        for (slot, (_, own)) in self.sd_px.iter_mut().zip(misfits) {
+            *slot = (label_sd_px * label_sd_px + own).sqrt();
+        }
+    }
+
+    /// Logarithm of the noise's volume.
+    pub fn log_noise(&self) -> f64 {
+        self.sd_px.iter().map(|sd| 2.0 * sd.ln()).sum()
     }
 
     /// Cost of the vehicle: robust key-point terms and priors. `None` when a key point is
@@ -54,7 +73,6 @@ impl Observed {
         camera: &CameraState,
         image_size: [u32; 2],
         vehicle: &VehicleState,
-        prior: &ShapePrior,
         shift_sd_px: f64,
     ) -> Option<f64> {
         let view = camera.camera(image_size);
@@ -65,11 +83,40 @@ impl Observed {
             + 0.5 * vehicle.shape.norm_squared()
             + 0.5 * vehicle.shift.norm_squared() / (shift_sd_px * shift_sd_px);
         for (&(label, uv), sd) in self.points.iter().zip(&self.sd_px) {
-            let p = on_road(&turn, vehicle, prior.point(label, &shape)?);
+            let p = on_road(&turn, vehicle, self.shape.point(label, &shape)?);
             let r = (view.project(&p)? + vehicle.shift - uv) / *sd;
             cost += 0.5 * robust(r.norm_squared()).0;
         }
         Some(cost)
+    }
+
+    /// The best state under a held camera and its cost; `None` from an impossible start.
+    pub fn settle(
+        &self,
+        camera: &CameraState,
+        image_size: [u32; 2],
+        start: VehicleState,
+        shift_sd_px: f64,
+        max_steps: usize,
+    ) -> Option<(VehicleState, f64)> {
+        let mut now = (start, self.cost(camera, image_size, &start, shift_sd_px)?);
+        let mut damping = 1e-3;
+        for _ in 0..max_steps {
+            let block = self.linearise(camera, image_size, &now.0, shift_sd_px);
+            let Some(part) = block.eliminate(damping) else { break };
+            let trial = now.0.moved(&-part.own);
+            match self.cost(camera, image_size, &trial, shift_sd_px) {
+                Some(cost) if cost < now.1 => {
+                    let converged = now.1 - cost < SETTLED;
+                    (now, damping) = ((trial, cost), damping * 0.1);
+                    if converged {
+                        break;
+                    }
+                }
+                _ => damping *= 10.0,
+            }
+        }
+        Some(now)
     }
 
     /// The normal equations of the vehicle's terms at a state.
@@ -78,7 +125,6 @@ impl Observed {
         camera: &CameraState,
         image_size: [u32; 2],
         vehicle: &VehicleState,
-        prior: &ShapePrior,
         shift_sd_px: f64,
     ) -> Block {
         let lens = Lens { k1: camera.k1, ..Lens::centred(camera.log_f.exp(), image_size) };
@@ -89,7 +135,7 @@ impl Observed {
         let mut block = Block::of_priors(vehicle, shift_sd_px);
         block.add_heading(camera, vehicle);
         for (&(label, uv), sd) in self.points.iter().zip(&self.sd_px) {
-            let Some(shape) = prior.point(label, &coefficients) else { continue };
+            let Some(shape) = self.shape.point(label, &coefficients) else { continue };
             let p = on_road(&turn, vehicle, shape);
             let from_camera = p - Vector3::new(0.0, 0.0, height);
             let p_cam = orientation.rotation * from_camera;
@@ -109,7 +155,7 @@ impl Observed {
             jv.fixed_columns_mut::<2>(0).copy_from(&by_world.fixed_columns::<2>(0));
             let turned = turn * shape;
             jv.set_column(2, &(by_world * Vector3::new(-turned.y, turned.x, 0.0)));
-            for (k, mode) in prior.modes(label).iter().enumerate() {
+            for (k, mode) in self.shape.modes(label).iter().enumerate() {
                 jv.set_column(3 + k, &(by_world * (turn * mode)));
             }
             let fleet = jv.fixed_columns::<FLEET>(3 + MODES - FLEET).into_owned();
@@ -129,14 +175,13 @@ impl Observed {
         block
     }
 
-    /// Squared residuals over variances at a state, px^2 and px per m of each point: what
-    /// the noise is estimated from.
+    /// Squared residual and variance from the scatter of the key point on the car, px^2 each,
+    /// of each point: what the noise is estimated from.
     pub fn misfits(
         &self,
         camera: &CameraState,
         image_size: [u32; 2],
         vehicle: &VehicleState,
-        prior: &ShapePrior,
     ) -> Vec<(f64, f64)> {
         let view = camera.camera(image_size);
         let shape = camera.shape_of(vehicle);
@@ -144,10 +189,10 @@ impl Observed {
         self.points
             .iter()
             .filter_map(|&(label, uv)| {
-                let p = on_road(&turn, vehicle, prior.point(label, &shape)?);
+                let p = on_road(&turn, vehicle, self.shape.point(label, &shape)?);
                 let p_cam = view.pose.transform(&p);
                 let r = view.lens.project(&p_cam)? + vehicle.shift - uv;
-                Some((r.norm_squared(), view.lens.f / p_cam.z))
+                Some((r.norm_squared(), (view.lens.f / p_cam.z * self.shape.point_sd_m).powi(2)))
             })
             .collect()
     }

@@ -7,7 +7,6 @@
 use super::cues::{CueNoise, RoadCues};
 use super::residuals::{Block, Observed};
 use super::scene::{CAMERA, CameraState, CameraStep, VEHICLE, VehicleState, VehicleStep};
-use super::shape::ShapePrior;
 use nalgebra::SMatrix;
 
 /// Square information of the camera.
@@ -39,10 +38,8 @@ pub struct CameraPrior {
 pub struct Objective {
     /// Width and height of the pictures, px.
     pub image_size: [u32; 2],
-    /// The key points with their noise.
+    /// The key points with their noise and what their vehicles may be.
     pub observed: Vec<Observed>,
-    /// What a car may look like.
-    pub shape: ShapePrior,
     /// What a camera over a road may be.
     pub prior: CameraPrior,
     /// Standard deviation of a vehicle's picture from the camera's sway, px.
@@ -72,11 +69,13 @@ const INITIAL_DAMPING: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e8;
 
 /// One vehicle's share of a step, kept for the back-substitution.
-struct Eliminated {
+pub(super) struct Eliminated {
     /// (damped vv)^-1 cv^T.
-    gain: SMatrix<f64, VEHICLE, CAMERA>,
+    pub gain: SMatrix<f64, VEHICLE, CAMERA>,
     /// (damped vv)^-1 gv.
-    own: VehicleStep,
+    pub own: VehicleStep,
+    /// Logarithm of the determinant of the damped vv.
+    pub log_determinant: f64,
 }
 
 impl Objective {
@@ -90,7 +89,7 @@ impl Objective {
         }
         for (observed, vehicle) in self.observed.iter().zip(vehicles) {
             let (size, shift) = (self.image_size, self.shift_sd_px);
-            cost += observed.cost(camera, size, vehicle, &self.shape, shift)?;
+            cost += observed.cost(camera, size, vehicle, shift)?;
         }
         Some(cost)
     }
@@ -100,12 +99,12 @@ impl Objective {
         self.observed
             .iter()
             .zip(vehicles)
-            .map(|(o, v)| o.linearise(camera, size, v, &self.shape, shift))
+            .map(|(o, v)| o.linearise(camera, size, v, shift))
             .collect()
     }
 
     /// Information and gradient on the camera from the prior and the cues.
-    fn camera_terms(&self, camera: &CameraState) -> (CameraInformation, CameraStep) {
+    pub(super) fn camera_terms(&self, camera: &CameraState) -> (CameraInformation, CameraStep) {
         let precision = self.prior.sd.map(|sd| 1.0 / (sd * sd));
         let mut information = CameraInformation::from_diagonal(&precision);
         let mut gradient = (camera.vector() - self.prior.mean).component_mul(&precision);
@@ -207,28 +206,33 @@ impl Objective {
         let mut determined = CAMERA as f64 - covariance.diagonal().component_mul(&prior).sum();
         for (block, part) in blocks.iter().zip(&parts) {
             let factor = block.vv.cholesky()?;
-            log_determinant += 2.0 * factor.l().diagonal().map(f64::ln).sum();
+            log_determinant += part.log_determinant;
             let own = factor.inverse();
             let full = own + part.gain * covariance * part.gain.transpose();
             let prior = super::residuals::vehicle_prior(self.shift_sd_px);
             determined += VEHICLE as f64 - full.diagonal().component_mul(&prior).sum();
         }
-        let noise: f64 = self.observed.iter().flat_map(|o| &o.sd_px).map(|sd| 2.0 * sd.ln()).sum();
+        let noise: f64 = self.observed.iter().map(Observed::log_noise).sum();
+        let prior_volume: f64 = self.prior.sd.map(f64::ln).sum();
         Some(Information {
             camera: information,
             determined,
-            log_evidence: -at.cost - 0.5 * log_determinant - noise,
+            log_evidence: -at.cost - 0.5 * log_determinant - noise - prior_volume,
         })
     }
 }
 
 impl Block {
-    fn eliminate(&self, damping: f64) -> Option<Eliminated> {
+    pub(super) fn eliminate(&self, damping: f64) -> Option<Eliminated> {
         let mut damped = self.vv;
         for k in 0..VEHICLE {
             damped[(k, k)] *= 1.0 + damping;
         }
         let factor = damped.cholesky()?;
-        Some(Eliminated { gain: factor.solve(&self.cv.transpose()), own: factor.solve(&self.gv) })
+        Some(Eliminated {
+            gain: factor.solve(&self.cv.transpose()),
+            own: factor.solve(&self.gv),
+            log_determinant: 2.0 * factor.l().diagonal().map(f64::ln).sum(),
+        })
     }
 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use verge::daemon::capture::{Recorded, Source, decode};
 use verge::daemon::detect::Detector;
 use verge::daemon::flow::{Frame, Picture};
+use verge::daemon::views::{MAX_REGIONS, Parts};
 use verge::daemon::{Counting, LineSettings};
 
 /// The system's allocator, counting what this thread asks of it.
@@ -81,15 +82,23 @@ fn detection_around_the_net_counting_and_windows_do_not_allocate() {
     let mut source = Source::Recorded(recorded);
     let mut counting = Counting::open(&settings, interval).expect("a right table");
     let mut detector = Detector::load(&settings.model, None).expect("a right model");
+    let input = detector.input_size();
+    let parts = Parts::new(counting.table(), |point| counting.place(point), input);
+    assert_eq!(parts.count(), MAX_REGIONS);
     let (mut frame, mut found) = (Frame::default(), Vec::with_capacity(64));
     for number in 0..7 {
         source.next(&mut frame).expect("a whole frame");
         let size = (frame.picture.width, frame.picture.height);
-        let prepared = allocations(|| detector.prepare(&frame.picture));
-        let output = detector.infer().expect("inference");
-        let rest = allocations(|| {
-            found.clear();
-            detector.read(&frame.picture, &output, &mut found).expect("an output");
+        let mut prepared = allocations(|| detector.look_at(&parts.of(size)));
+        let mut rest = allocations(|| found.clear());
+        for pass in 0..MAX_REGIONS {
+            prepared += allocations(|| detector.prepare(&frame.picture, pass));
+            let output = detector.infer().expect("inference");
+            rest += allocations(|| {
+                detector.read(&frame.picture, pass, &output, &mut found).expect("an output");
+            });
+        }
+        rest += allocations(|| {
             counting.count(&found, size, frame.time).expect("the table's camera");
         });
         assert!(!found.is_empty());

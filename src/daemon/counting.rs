@@ -8,6 +8,7 @@ use super::LineSettings;
 use super::exit::Failure;
 use super::flow::Detection;
 use super::locate::{LocateError, Located, Locator};
+use super::views::{Parts, Views};
 use crate::density::{Aggregator, Closed, SampleZoneStatus};
 use crate::lane::{Description, Place};
 use crate::scene::Reference;
@@ -133,6 +134,15 @@ impl Presets {
         let several = self.presets.len() > 1;
         let reference = |preset: &Counting| preset.locator.scene(several);
         Ok(self.presets.iter().map(reference).collect::<Result<_, _>>()?)
+    }
+
+    /// The parts of each preset's pictures that are searched, for a net with that input.
+    pub fn parts(&self, views: Views, input: [usize; 2]) -> Vec<Parts> {
+        let parts = |preset: &Counting| match views {
+            Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),
+            Views::Whole => Parts::WHOLE,
+        };
+        self.presets.iter().map(parts).collect()
     }
 
     /// The preset at which the camera looks.

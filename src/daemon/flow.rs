@@ -26,6 +26,33 @@ pub struct Picture {
     pub rgb: Vec<u8>,
 }
 
+/// A rectangle of whole pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// First column.
+    pub x: usize,
+    /// First row.
+    pub y: usize,
+    /// Columns, px.
+    pub width: usize,
+    /// Rows, px.
+    pub height: usize,
+}
+
+impl Region {
+    /// All of `picture`.
+    pub fn whole(picture: &Picture) -> Self {
+        Self { x: 0, y: 0, width: picture.width, height: picture.height }
+    }
+
+    /// What of it lies in `picture`; all of the picture where nothing does.
+    pub fn within(self, picture: &Picture) -> Self {
+        let width = picture.width.saturating_sub(self.x).min(self.width);
+        let height = picture.height.saturating_sub(self.y).min(self.height);
+        if width > 0 && height > 0 { Self { width, height, ..self } } else { Self::whole(picture) }
+    }
+}
+
 /// An axis-aligned box in the picture, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelBox {

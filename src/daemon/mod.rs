@@ -31,6 +31,7 @@ mod reload;
 pub mod scene;
 mod sensor;
 pub mod spool;
+pub mod views;
 
 pub use counting::Counting;
 
@@ -55,6 +56,7 @@ use spool::{Spool, SpoolCounts};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
+use views::{Parts, Views};
 
 /// Runs the program on a board: reads the command line, does what it says.
 pub fn main<L, R, W, T>(board: Board<L, R, W, T>) -> ExitCode
@@ -73,6 +75,10 @@ where
     }
 }
 
+/// Share of the time between two pictures that the net may take of the processor: the rest is
+/// for the camera, the picture, and what else runs on the box.
+const NET_SHARE: f64 = 0.5;
+
 /// What a line is built from.
 #[derive(Clone, Debug)]
 pub struct LineSettings {
@@ -89,6 +95,8 @@ pub struct LineSettings {
     pub model: PathBuf,
     /// Overrides the model's least score.
     pub score: Option<f32>,
+    /// Which parts of a picture are searched.
+    pub views: Views,
     /// Which point of a box stands for the vehicle.
     pub anchor: Anchor,
     /// Window lengths.
@@ -109,6 +117,7 @@ impl LineSettings {
             camera: None,
             model: model.to_owned(),
             score: None,
+            views: Views::default(),
             anchor: Anchor::default(),
             windows: vec![window],
             min_completeness: 0.0,
@@ -149,6 +158,8 @@ pub struct Line {
     detector: Detector,
     scene: Option<Scene>,
     presets: Presets,
+    /// Where each preset's pictures are searched.
+    parts: Vec<Parts>,
     found: Vec<Detection>,
 }
 
@@ -162,7 +173,30 @@ impl Line {
         let references = presets.references()?;
         let scene = settings.watch.then(|| Scene::new(references));
         let detector = Detector::load(&settings.model, settings.score)?;
-        Ok(Self { detector, scene, presets, found: Vec::new() })
+        let parts = presets.parts(settings.views, detector.input_size());
+        Ok(Self { detector, scene, presets, parts, found: Vec::new() })
+    }
+
+    /// Searches each picture once, and not its far part again, where the net is too slow for
+    /// that with pictures in this interval. A box that falls behind its camera loses windows.
+    fn keep_within(&mut self, interval: Duration) -> Result<(), Failure> {
+        let Some(passes) = self.parts.iter().map(Parts::count).max().filter(|&count| count > 1)
+        else {
+            return Ok(());
+        };
+        // The first run brings the net's memory in.
+        self.detector.infer()?;
+        let begun = clock::processor_time();
+        self.detector.infer()?;
+        let took = clock::processor_time() - begun;
+        if took.mul_f64(passes as f64) > interval.mul_f64(NET_SHARE) {
+            log::warn!(
+                "the net takes {took:.0?}: with pictures each {interval:?} their far part is not \
+                 searched again (model.views)"
+            );
+            self.parts.iter_mut().for_each(Parts::keep_one);
+        }
+        Ok(())
     }
 
     /// Measures one frame.
@@ -186,8 +220,9 @@ impl Line {
                 return Ok(Measured { event: Event::Withheld(alarm), closed });
             }
         };
-        self.detector.detect(&frame.picture, &mut self.found)?;
         let size = (frame.picture.width, frame.picture.height);
+        self.detector.look_at(&self.parts[preset].of(size));
+        self.detector.detect(&frame.picture, &mut self.found)?;
         let closed = self.presets.count(preset, &self.found, size, shift, frame.time)?;
         Ok(Measured { event: Event::Measured, closed })
     }
@@ -219,15 +254,19 @@ impl Line {
             _ => View::NOWHERE,
         };
         let scene = lap();
-        self.detector.prepare(picture);
-        let prepare = lap();
-        let output = self.detector.infer()?;
-        let infer = lap();
+        self.detector.look_at(&self.parts[preset].of(size));
         self.found.clear();
-        self.detector.read(picture, &output, &mut self.found)?;
-        let read = lap();
+        let mut times = StageTimes { scene, ..StageTimes::default() };
+        for pass in 0..self.detector.passes() {
+            self.detector.prepare(picture, pass);
+            times.prepare += lap();
+            let output = self.detector.infer()?;
+            times.infer += lap();
+            self.detector.read(picture, pass, &output, &mut self.found)?;
+            times.read += lap();
+        }
         self.presets.count(preset, &self.found, size, shift, frame.time)?;
-        Ok(StageTimes { capture: Duration::ZERO, scene, prepare, infer, read, count: lap() })
+        Ok(StageTimes { count: lap(), ..times })
     }
 
     /// Notes that at `time` there was no usable frame, and why.
@@ -284,7 +323,10 @@ impl Line {
             .length_rel_err
             .map_or("not stated".to_owned(), |error| format!("{:.1} %", error * 100.0));
         (
-            format!("{} at {}x{} px", model.name, model.input.width_px, model.input.height_px),
+            format!(
+                "{} at {}x{} px, over {}",
+                model.name, model.input.width_px, model.input.height_px, self.parts[0]
+            ),
             format!("{lanes} lanes of {id}, {}, length error {error}", table.image_size),
         )
     }
@@ -421,12 +463,15 @@ fn open_line(config: &Config) -> Result<Line, Failure> {
         camera: Some(config.camera.id.clone()),
         model: config.model.file.clone(),
         score: config.model.score,
+        views: config.model.views,
         anchor: Anchor::default(),
         windows: config.windows.lengths_s.iter().copied().map(Duration::from_secs).collect(),
         min_completeness: config.windows.min_completeness,
         start: Start::AtNextWindow,
     };
-    Line::open(&settings, config.interval())
+    let mut line = Line::open(&settings, config.interval())?;
+    line.keep_within(config.interval())?;
+    Ok(line)
 }
 
 /// The broker of a configuration.

@@ -2,6 +2,7 @@
 
 use super::{ModelArgs, compare, recording};
 use crate::daemon::exit::Failure;
+use crate::daemon::views::Views;
 use crate::daemon::{Counting, LineSettings, StageTimes, open_endless};
 use crate::units::{ImagePoint, ImageSize};
 use serde_json::{Value, json};
@@ -23,6 +24,9 @@ pub struct Args {
     table: Option<PathBuf>,
     #[command(flatten)]
     model: ModelArgs,
+    /// Which parts of a picture are searched
+    #[arg(long, value_enum, default_value_t)]
+    views: Views,
     /// Frames to measure, after as many again to warm up
     #[arg(long, value_name = "N", default_value_t = 50)]
     count: usize,
@@ -42,6 +46,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     };
     let settings = LineSettings {
         score: args.model.score,
+        views: args.views,
         ..LineSettings::recorded(&table, &args.model.model, Duration::from_secs(900))
     };
     let mut station = open_endless(&settings, &frames)?;

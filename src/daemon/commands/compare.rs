@@ -169,8 +169,8 @@ pub fn compare(
     let mut times: [Vec<f64>; 6] = Default::default();
     for turn in 0..WARM_UP + turns {
         let mut row = [f64::NAN; 6];
-        stored.prepare(picture);
-        float.prepare(picture);
+        stored.prepare(picture, 0);
+        float.prepare(picture, 0);
         row[0] = time(|| Ok(stored.infer().map(drop)?))?;
         row[1] = time(|| Ok(float.infer().map(drop)?))?;
         row[2] = time(&mut frame)?;

@@ -6,6 +6,7 @@ use crate::daemon::exit::Failure;
 use crate::daemon::output::WholeFile;
 use crate::daemon::playback::play;
 use crate::daemon::publish::{payload, window_name};
+use crate::daemon::views::Views;
 use crate::daemon::{Anchor, LineSettings, open_recording};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -34,6 +35,9 @@ pub struct Args {
     /// Time between frames, s [default: from names, file times, else 120]
     #[arg(long, value_name = "S")]
     interval: Option<f64>,
+    /// Which parts of a picture are searched
+    #[arg(long, value_enum, default_value_t)]
+    views: Views,
     /// Also write each frame's boxes here, JSON Lines
     #[arg(long, value_name = "FILE")]
     detections: Option<PathBuf>,
@@ -48,6 +52,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         presets: presets.to_vec(),
         watch: !args.unwatched,
         score: args.model.score,
+        views: args.views,
         anchor: args.anchor,
         ..LineSettings::recorded(table, &args.model.model, Duration::from_secs(args.window))
     };

@@ -1,5 +1,6 @@
 //! The sections of the configuration with their keys and defaults.
 
+use crate::daemon::views::Views;
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -45,11 +46,13 @@ pub struct Model {
     pub file: PathBuf,
     /// Least score that counts; the sidecar's where it is not given.
     pub score: Option<f32>,
+    /// Which parts of a picture are searched: `auto` or `whole`.
+    pub views: Views,
 }
 
 impl Default for Model {
     fn default() -> Self {
-        Self { file: PathBuf::from(DEFAULT_MODEL), score: None }
+        Self { file: PathBuf::from(DEFAULT_MODEL), score: None, views: Views::default() }
     }
 }
 

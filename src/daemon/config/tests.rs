@@ -45,6 +45,7 @@ fn wrong_keys_and_values_are_named() {
         ("#timeout_s = 10.0", "timeout_s = 60", "camera.timeout_s"),
         ("site = \"k109f\"", "site = \"a/b\"", "site"),
         ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
+        ("#views = \"whole\"", "views = \"near\"", "near"),
         ("#watch = true", "watch = \"yes\"", "watch"),
         ("#presets = []", "presets = \"b.lut\"", "presets"),
         ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),

@@ -1,12 +1,12 @@
-//! The picture into the net's input: scaled without distortion, centred, normalised.
+//! A region of the picture into the net's input: scaled without distortion, centred, normalised.
 //!
-//! Owns the geometry between picture and input, and the resampling. Scaling is linear
+//! Owns the geometry between region and input, and the resampling. Scaling is linear
 //! interpolation with aligned pixel centres; a picture that shrinks is averaged over the
 //! pixels that each new one covers (a triangle filter as wide as the ratio), so that it
 //! does not alias.
 
 use super::sidecar::Normalisation;
-use crate::daemon::flow::{Picture, PixelBox};
+use crate::daemon::flow::{Picture, PixelBox, Region};
 use verge_kernels::Steps;
 
 /// Value of the bars beside a picture of another shape, before normalisation.
@@ -41,21 +41,22 @@ pub(super) struct Letterbox {
     mixed: Vec<f32>,
 }
 
-/// Where a picture of one size lies in the input.
+/// Where a region of one size lies in the input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Fit {
-    picture: [usize; 2],
+    region: [usize; 2],
     size: [usize; 2],
     offset: [usize; 2],
 }
 
 impl Fit {
-    fn new(picture: [usize; 2], input: [usize; 2]) -> Self {
-        let scale = (input[0] as f64 / picture[0] as f64).min(input[1] as f64 / picture[1] as f64);
+    fn new(region: &Region, input: [usize; 2]) -> Self {
+        let region = [region.width, region.height];
+        let scale = (input[0] as f64 / region[0] as f64).min(input[1] as f64 / region[1] as f64);
         let fitted =
-            |axis: usize| ((picture[axis] as f64 * scale).round() as usize).clamp(1, input[axis]);
+            |axis: usize| ((region[axis] as f64 * scale).round() as usize).clamp(1, input[axis]);
         let size = [fitted(0), fitted(1)];
-        Self { picture, size, offset: [(input[0] - size[0]) / 2, (input[1] - size[1]) / 2] }
+        Self { region, size, offset: [(input[0] - size[0]) / 2, (input[1] - size[1]) / 2] }
     }
 }
 
@@ -78,9 +79,9 @@ impl Letterbox {
         3 * self.input[0] * self.input[1]
     }
 
-    /// Fills the input from `picture`.
-    pub(super) fn fill(&mut self, picture: &Picture, mut into: Into<'_>) {
-        let fit = Fit::new([picture.width, picture.height], self.input);
+    /// Fills the input from `region`, which lies in `picture`.
+    pub(super) fn fill(&mut self, picture: &Picture, region: Region, mut into: Into<'_>) {
+        let fit = Fit::new(&region, self.input);
         if self.fit != Some(fit) {
             self.refit(fit);
         }
@@ -110,7 +111,8 @@ impl Letterbox {
                 let slot = source % self.cached.len();
                 if self.cached[slot] != source {
                     self.cached[slot] = source;
-                    let pixels = &picture.rgb[source * picture.width * 3..][..picture.width * 3];
+                    let first = (source + region.y) * picture.width + region.x;
+                    let pixels = &picture.rgb[first * 3..][..region.width * 3];
                     let cache = &mut self.cache[slot * row_len..][..row_len];
                     resample_row(pixels, &self.columns, &values, cache);
                 }
@@ -154,12 +156,14 @@ impl Letterbox {
         }
     }
 
-    /// A box in the input, as one in the picture, clipped to it.
-    pub(super) fn to_picture(&self, bounds: &PixelBox, picture: &Picture) -> PixelBox {
-        let fit = Fit::new([picture.width, picture.height], self.input);
+    /// A box in the input, as one in the picture, clipped to the region.
+    pub(super) fn to_picture(&self, bounds: &PixelBox, region: Region) -> PixelBox {
+        let fit = Fit::new(&region, self.input);
+        let first = [region.x as f32, region.y as f32];
         let back = |value: f32, axis: usize| {
-            let ratio = fit.picture[axis] as f32 / fit.size[axis] as f32;
-            ((value - fit.offset[axis] as f32) * ratio).clamp(0.0, fit.picture[axis] as f32)
+            let ratio = fit.region[axis] as f32 / fit.size[axis] as f32;
+            let inside = (value - fit.offset[axis] as f32) * ratio;
+            first[axis] + inside.clamp(0.0, fit.region[axis] as f32)
         };
         PixelBox {
             x0: back(bounds.x0, 0),
@@ -169,10 +173,10 @@ impl Letterbox {
         }
     }
 
-    /// Prepares for pictures of another size.
+    /// Prepares for regions of another size.
     fn refit(&mut self, fit: Fit) {
-        self.columns = Taps::new(fit.picture[0], fit.size[0]);
-        self.rows = Taps::new(fit.picture[1], fit.size[1]);
+        self.columns = Taps::new(fit.region[0], fit.size[0]);
+        self.rows = Taps::new(fit.region[1], fit.size[1]);
         let slots = self.rows.widest + 1;
         self.cached = vec![usize::MAX; slots];
         self.cache = vec![0.0; slots * fit.size[0] * 3];
@@ -250,7 +254,7 @@ mod tests {
 
     fn planes(letterbox: &mut Letterbox, picture: &Picture) -> Vec<f32> {
         let mut planes = vec![f32::NAN; letterbox.len()];
-        letterbox.fill(picture, Into::Planes(&mut planes));
+        letterbox.fill(picture, Region::whole(picture), Into::Planes(&mut planes));
         planes
     }
 
@@ -286,7 +290,7 @@ mod tests {
         assert!((column(4) - 50.0).abs() < 1e-3 && (column(11) - 50.0).abs() < 1e-3);
         let whole = PixelBox { x0: 0.0, y0: 4.0, x1: 16.0, y1: 12.0 };
         let expected = PixelBox { x0: 0.0, y0: 0.0, x1: 32.0, y1: 16.0 };
-        assert_eq!(letterbox.to_picture(&whole, &wide), expected);
+        assert_eq!(letterbox.to_picture(&whole, Region::whole(&wide)), expected);
     }
 
     #[test]
@@ -297,16 +301,32 @@ mod tests {
     }
 
     #[test]
+    fn a_region_is_the_picture_that_it_cuts_out() {
+        let pixel = |u: usize, v: usize| (u * 7 + v * 11) as u8;
+        let all = picture(40, 30, pixel);
+        let part = picture(16, 8, |u, v| pixel(u + 20, v + 5));
+        let region = Region { x: 20, y: 5, width: 16, height: 8 };
+        let mut letterbox = Letterbox::new([24, 24], &PLAIN);
+        let expected = planes(&mut letterbox, &part);
+        let mut cut = vec![f32::NAN; letterbox.len()];
+        letterbox.fill(&all, region, Into::Planes(&mut cut));
+        assert_eq!(cut, expected);
+        let whole = PixelBox { x0: 0.0, y0: 6.0, x1: 30.0, y1: 18.0 };
+        let expected = PixelBox { x0: 20.0, y0: 5.0, x1: 36.0, y1: 13.0 };
+        assert_eq!(letterbox.to_picture(&whole, region), expected, "clipped to the region");
+    }
+
+    #[test]
     fn pixels_and_steps_are_the_planes_in_other_clothes() {
         let normalisation = [(2, 103.5, 1.0 / 57.4), (1, 116.3, 1.0 / 57.1), (0, 0.0, 0.5)];
         let mut letterbox = Letterbox::new([16, 16], &normalisation);
         let tall = picture(8, 16, |u, v| (u * 30 + v) as u8);
         let planes = planes(&mut letterbox, &tall);
         let mut pixels = vec![f32::NAN; letterbox.len()];
-        letterbox.fill(&tall, Into::Pixels(&mut pixels));
+        letterbox.fill(&tall, Region::whole(&tall), Into::Pixels(&mut pixels));
         let steps = Steps { scale: 0.02, zero: 110 };
         let mut bytes = vec![1; letterbox.len()];
-        letterbox.fill(&tall, Into::Steps(&mut bytes, steps));
+        letterbox.fill(&tall, Region::whole(&tall), Into::Steps(&mut bytes, steps));
         for (i, &value) in pixels.iter().enumerate() {
             assert_eq!(value, planes[i % 3 * 256 + i / 3]);
             let expected = (value / steps.scale + 110.0).clamp(0.0, 255.0);

@@ -10,6 +10,7 @@ mod graph;
 mod head;
 mod letterbox;
 mod lower;
+mod merge;
 mod nms;
 mod onnx;
 mod operators;
@@ -20,7 +21,7 @@ pub use engine::Precision;
 pub use forms::{Forms, forms};
 pub use sidecar::{Sidecar, SidecarError};
 
-use super::flow::{Detection, Picture};
+use super::flow::{Detection, Picture, Region};
 use crate::lane::Name;
 use crate::wire::{ModelRef, hex};
 use engine::Engine;
@@ -100,8 +101,29 @@ pub struct Detector {
     sidecar: Sidecar,
     model: ModelRef,
     head: Head,
-    letterbox: Letterbox,
+    passes: Vec<Pass>,
     candidates: Vec<Detection>,
+    /// What the latest pass but the first has found.
+    close: Vec<Detection>,
+}
+
+/// One run of the net over a picture.
+#[derive(Debug)]
+struct Pass {
+    /// Where it looks; `None`: at the whole picture.
+    region: Option<Region>,
+    letterbox: Letterbox,
+}
+
+impl Pass {
+    fn new(region: Option<Region>, sidecar: &Sidecar) -> Self {
+        let input = [sidecar.input.width_px, sidecar.input.height_px];
+        Self { region, letterbox: Letterbox::new(input, &sidecar.input.normalisation()) }
+    }
+
+    fn region(&self, picture: &Picture) -> Region {
+        self.region.map_or_else(|| Region::whole(picture), |region| region.within(picture))
+    }
 }
 
 impl Detector {
@@ -138,12 +160,12 @@ impl Detector {
         }
         let head = Head::new(&sidecar);
         let engine = Engine::load(&path, bytes, &sidecar, &head, precision)?;
-        let input = [sidecar.input.width_px, sidecar.input.height_px];
-        let letterbox = Letterbox::new(input, &sidecar.input.normalisation());
+        let passes = vec![Pass::new(None, &sidecar)];
         let name = Name::try_from(sidecar.name.as_str()).unwrap_or_default();
         let candidates = Vec::with_capacity(MAX_CANDIDATES);
         let model = ModelRef { name, sha256 };
-        Ok(Self { file: path, engine, sidecar, model, head, letterbox, candidates })
+        let close = Vec::new();
+        Ok(Self { file: path, engine, sidecar, model, head, passes, candidates, close })
     }
 
     /// The model file.
@@ -153,8 +175,9 @@ impl Detector {
 
     /// The net's input for `picture` as other runtimes take it: three planes of floats.
     pub fn planes(&mut self, picture: &Picture) -> Vec<f32> {
-        let mut planes = vec![0.0; self.letterbox.len()];
-        self.letterbox.fill(picture, letterbox::Into::Planes(&mut planes));
+        let Pass { letterbox, .. } = &mut self.passes[0];
+        let mut planes = vec![0.0; letterbox.len()];
+        letterbox.fill(picture, Region::whole(picture), letterbox::Into::Planes(&mut planes));
         planes
     }
 
@@ -163,9 +186,33 @@ impl Detector {
         &self.model
     }
 
+    /// Columns and rows of the net's input.
+    pub fn input_size(&self) -> [usize; 2] {
+        [self.sidecar.input.width_px, self.sidecar.input.height_px]
+    }
+
     /// What the model says about itself.
     pub fn sidecar(&self) -> &Sidecar {
         &self.sidecar
+    }
+
+    /// Looks at these parts of each picture from now on, one pass each, the widest first;
+    /// without any at the whole picture. Costs nothing while they stay the same.
+    pub fn look_at(&mut self, regions: &[Region]) {
+        let asked = regions.iter().copied().map(Some);
+        let is = self.passes.iter().map(|pass| pass.region);
+        if is.clone().eq(asked.clone()) || (regions.is_empty() && is.eq([None])) {
+            return;
+        }
+        self.passes = asked.map(|region| Pass::new(region, &self.sidecar)).collect();
+        if self.passes.is_empty() {
+            self.passes.push(Pass::new(None, &self.sidecar));
+        }
+    }
+
+    /// How often the net runs over a picture.
+    pub fn passes(&self) -> usize {
+        self.passes.len()
     }
 
     /// Finds the vehicles in `picture`, best first, in pixels of the picture.
@@ -178,9 +225,12 @@ impl Detector {
         found: &mut Vec<Detection>,
     ) -> Result<(), DetectError> {
         found.clear();
-        self.prepare(picture);
-        let output = self.infer()?;
-        self.read(picture, &output, found)
+        for pass in 0..self.passes() {
+            self.prepare(picture, pass);
+            let output = self.infer()?;
+            self.read(picture, pass, &output, found)?;
+        }
+        Ok(())
     }
 
     /// What computes: tract, or the instruction set of the kernels with the reason why not.
@@ -188,9 +238,10 @@ impl Detector {
         self.engine.describe()
     }
 
-    /// First step: the picture into the net's input.
-    pub fn prepare(&mut self, picture: &Picture) {
-        self.letterbox.fill(picture, self.engine.input());
+    /// First step of a pass: its part of the picture into the net's input.
+    pub fn prepare(&mut self, picture: &Picture, pass: usize) {
+        let pass = &mut self.passes[pass];
+        pass.letterbox.fill(picture, pass.region(picture), self.engine.input());
     }
 
     /// Second step: the net.
@@ -201,13 +252,14 @@ impl Detector {
         self.engine.run().map(Inferred).map_err(|reason| DetectError { reason })
     }
 
-    /// Third step: the net's output into boxes.
+    /// Third step: the net's output into boxes, beside what the passes before have `found`.
     ///
     /// # Errors
     /// [`DetectError`] where the output is not made of 32-bit floats.
     pub fn read(
         &mut self,
         picture: &Picture,
+        pass: usize,
         output: &Inferred,
         found: &mut Vec<Detection>,
     ) -> Result<(), DetectError> {
@@ -216,9 +268,16 @@ impl Detector {
             .read(&output.0, &self.head, &mut self.candidates)
             .map_err(|reason| DetectError { reason })?;
         let thresholds = &self.sidecar.thresholds;
-        nms::suppress(&mut self.candidates, thresholds.iou, MAX_CANDIDATES, found);
-        for detection in found {
-            detection.bounds = self.letterbox.to_picture(&detection.bounds, picture);
+        let Pass { letterbox, .. } = &self.passes[pass];
+        let region = self.passes[pass].region(picture);
+        self.close.clear();
+        let boxes = if pass == 0 { &mut *found } else { &mut self.close };
+        nms::suppress(&mut self.candidates, thresholds.iou, MAX_CANDIDATES, boxes);
+        for detection in boxes {
+            detection.bounds = letterbox.to_picture(&detection.bounds, region);
+        }
+        if pass > 0 {
+            merge::merge(found, &self.close, region, picture);
         }
         Ok(())
     }

@@ -1,23 +1,26 @@
 //! Non-maximum suppression: of boxes on one vehicle the best stays.
 
 use crate::daemon::flow::Detection;
+use std::cmp::Ordering;
+
+/// Falling scores; equal ones by position, so that the same picture gives the same boxes.
+pub(super) fn best_first(a: &Detection, b: &Detection) -> Ordering {
+    let position = |d: &Detection| (d.bounds.y0, d.bounds.x0);
+    b.score
+        .total_cmp(&a.score)
+        .then(position(a).0.total_cmp(&position(b).0))
+        .then(position(a).1.total_cmp(&position(b).1))
+}
 
 /// Moves into `kept` the best of `candidates`, each overlapping no better one by more than
-/// `iou` whatever its class. At most `limit` candidates are looked at, best first; equal
-/// scores are ordered by position, so that the same picture gives the same boxes.
+/// `iou` whatever its class. At most `limit` candidates are looked at, best first.
 pub(super) fn suppress(
     candidates: &mut Vec<Detection>,
     iou: f32,
     limit: usize,
     kept: &mut Vec<Detection>,
 ) {
-    candidates.sort_unstable_by(|a, b| {
-        let position = |d: &Detection| (d.bounds.y0, d.bounds.x0);
-        b.score
-            .total_cmp(&a.score)
-            .then(position(a).0.total_cmp(&position(b).0))
-            .then(position(a).1.total_cmp(&position(b).1))
-    });
+    candidates.sort_unstable_by(best_first);
     candidates.truncate(limit);
     for candidate in candidates {
         if kept.iter().all(|better| better.bounds.iou(&candidate.bounds) <= iou) {

@@ -11,12 +11,19 @@ use std::fs;
 
 /// The table of the recording under another calibration's name.
 fn other_table() -> Vec<u8> {
+    other_table_from(0)
+}
+
+/// The same with no lane above that row.
+fn other_table_from(row: u16) -> Vec<u8> {
     let table = LaneTable::parse(fs::read(TABLE).expect("it ships")).expect("a right table");
     let mut description = table.description().clone();
     description.calibration_id = Name::try_from("second").expect("short");
     let mut bytes = vec![0; lane::encoded_len(&description, None)];
-    let cell =
-        |u: u16, v: u16| table.place(ImagePoint { u: f32::from(u) + 0.5, v: f32::from(v) + 0.5 });
+    let cell = |u: u16, v: u16| {
+        let point = ImagePoint { u: f32::from(u) + 0.5, v: f32::from(v) + 0.5 };
+        table.place(point).filter(|_| v >= row)
+    };
     let len = lane::encode(&description, None, cell, &mut bytes).expect("a right table");
     bytes.truncate(len);
     bytes
@@ -116,6 +123,43 @@ fn another_broker_gets_what_the_old_one_did_not() {
     arrived.read(&mut second);
     arrived.check(end);
     assert!((1..arrived.windows["20s"].len()).contains(&before), "both have had windows");
+}
+
+/// The configuration with views of the road.
+fn config_with_views(folder: &Path) -> (PathBuf, Config) {
+    write_config(folder, 1, "");
+    let path = folder.join("verge.toml");
+    let text = fs::read_to_string(&path).expect("it was written");
+    let text = text.replacen("[model]\n", "[model]\nviews = \"auto\"\n", 1);
+    fs::write(&path, text).expect("writing it");
+    let config = Config::read(&path).expect("a right configuration");
+    (path, config)
+}
+
+#[test]
+fn a_new_table_brings_new_views() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let table = folder.path().join("table.lut");
+    let (path, config) = config_with_views(folder.path());
+    let load = || Candidate::load(&path, &config).expect("it can take over").line;
+    let before = load();
+    fs::write(&table, other_table_from(185)).expect("writing it");
+    let after = load();
+    let regions = |line: &Line| line.parts[0].of((320, 240));
+    let (before, after) = (regions(&before), regions(&after));
+    assert_eq!((before.len(), after.len()), (2, 1), "{after:?}: no far part is left");
+    assert!(after[0].y > before[0].y, "{before:?} {after:?}");
+}
+
+#[test]
+fn views_that_are_too_slow_for_the_interval_become_one() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (_, config) = config_with_views(folder.path());
+    let mut line = open_line(&config).expect("what it names is there");
+    line.keep_within(Duration::from_secs(3600)).expect("inference");
+    assert_eq!(line.parts[0].count(), 2);
+    line.keep_within(Duration::from_micros(10)).expect("inference");
+    assert_eq!(line.parts[0].count(), 1);
 }
 
 #[test]

@@ -152,34 +152,20 @@ impl Summary {
 
     /// Takes the rows of `queries::cells`.
     pub(super) fn add_cells(&mut self, batches: &[RecordBatch]) {
+        let groups: Vec<CellGroup> = batches.iter().flat_map(CellGroup::all).collect();
+        self.rows += groups.iter().map(|group| group.archived).sum::<u64>();
+        let known = || groups.iter().filter(|group| group.densities.count > 0);
         // A lane's first cell is a whole one; its last may be short.
         let mut first = [(i64::MAX, f32::INFINITY); LANES];
-        for pass in [true, false] {
-            for batch in batches {
-                let (lanes, bins) = (column::<Int32Type>(batch, "lane"), "bin");
-                let positions = column::<Float32Type>(batch, "position_m");
-                let lengths = column::<Float32Type>(batch, "length_m");
-                let integers = |name| column::<Int64Type>(batch, name);
-                let (bins, since) = (integers(bins), integers("first"));
-                let (archived, sums) = (integers("archived"), Sums::of(batch));
-                for row in 0..batch.num_rows() {
-                    let lane = (lanes.value(row) - 1) as usize;
-                    if pass {
-                        self.rows += archived.value(row) as u64;
-                    }
-                    if sums.get(row).count == 0 || positions.is_null(row) {
-                        continue;
-                    }
-                    let place = (since.value(row), positions.value(row));
-                    if !pass {
-                        let bin = bins.value(row) as usize;
-                        self.along[lane].add(bin, positions.value(row), sums.get(row));
-                    } else if place < first[lane] {
-                        first[lane] = place;
-                        self.along[lane].cell_m = lengths.value(row);
-                    }
-                }
+        for group in known() {
+            let place = (group.since_ms, group.position_m);
+            if place < first[group.lane] {
+                first[group.lane] = place;
+                self.along[group.lane].cell_m = group.length_m;
             }
+        }
+        for group in known() {
+            self.along[group.lane].add(group.bin, group.position_m, group.densities);
         }
     }
 
@@ -224,6 +210,38 @@ impl Summary {
     pub fn without_places(mut self) -> Self {
         self.along = Default::default();
         self
+    }
+}
+
+/// Cells of one lane, place and time of day.
+struct CellGroup {
+    /// From 0.
+    lane: usize,
+    position_m: f32,
+    length_m: f32,
+    bin: usize,
+    archived: u64,
+    densities: Mean,
+    /// The first window with a density.
+    since_ms: i64,
+}
+
+impl CellGroup {
+    fn all(batch: &RecordBatch) -> impl Iterator<Item = Self> {
+        let (lanes, sums) = (column::<Int32Type>(batch, "lane"), Sums::of(batch));
+        let metres = |name| column::<Float32Type>(batch, name);
+        let (positions, lengths) = (metres("position_m"), metres("length_m"));
+        let integers = |name| column::<Int64Type>(batch, name);
+        let (bins, archived, since) = (integers("bin"), integers("archived"), integers("first"));
+        (0..batch.num_rows()).map(move |row| Self {
+            lane: (lanes.value(row) - 1) as usize,
+            position_m: if positions.is_null(row) { f32::NAN } else { positions.value(row) },
+            length_m: lengths.value(row),
+            bin: bins.value(row) as usize,
+            archived: archived.value(row) as u64,
+            densities: sums.get(row),
+            since_ms: since.value(row),
+        })
     }
 }
 

@@ -1,6 +1,6 @@
 //! A centre in one command: a broker in this program, three simulated boxes, archive, report.
 //!
-//! `cargo run --release -p verge-tmc --example centre -- DIR [HOURS]`: three streets run for
+//! `cargo run --profile centre -p verge-tmc --example centre -- DIR [HOURS]`: three streets run for
 //! HOURS (2) as fast as they can, their true densities arrive as messages by lane and cell,
 //! and DIR/report/index.html shows what came of them. DIR must not be there yet.
 

@@ -1,6 +1,6 @@
 //! Makes an archive of a city and times the report over it.
 //!
-//! `cargo run --release -p verge-tmc --example city -- DIR [SITES [DAYS [CELLS]]]`: by
+//! `cargo run --profile centre -p verge-tmc --example city -- DIR [SITES [DAYS [CELLS]]]`: by
 //! default 100 sites, 90 days, four lanes, no cells, one-minute windows: 51.8 million rows. Prints the seconds for
 //! both and the report's largest memory. DIR must not be there yet.
 

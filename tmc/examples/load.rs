@@ -1,6 +1,6 @@
 //! Publishes as many boxes do: one window a minute each, over one connection for a thousand.
 //!
-//! `cargo run --release -p verge-tmc --example load -- PORT [BOXES [MINUTES]]`, to a broker on
+//! `cargo run --profile centre -p verge-tmc --example load -- PORT [BOXES [MINUTES]]`, to a broker on
 //! this machine. It sends as fast as the broker takes messages and prints the rate; 10,000
 //! boxes at one window a minute are 167 messages a second.
 

@@ -9,8 +9,10 @@ pub const USAGE: u8 = 64;
 pub const DATAERR: u8 = 65;
 /// An input file that is missing or cannot be read.
 pub const NOINPUT: u8 = 66;
-/// A broker that is not there.
+/// A broker or a cluster that is not there.
 pub const UNAVAILABLE: u8 = 69;
+/// A failure of this program, or too little memory for it.
+pub const SOFTWARE: u8 = 70;
 /// An output file that cannot be made.
 pub const CANTCREAT: u8 = 73;
 /// Reading or writing failed half-way.
@@ -67,6 +69,25 @@ pub enum Failure {
         /// What happened.
         reason: String,
     },
+    /// A query that the archive's engine could not answer.
+    #[error("a query of {} failed: {reason}; more memory, or fewer --threads, may help", path.display())]
+    Query {
+        /// The archive.
+        path: PathBuf,
+        /// What the engine says.
+        reason: String,
+    },
+    /// A cluster that cannot be reached, or that failed.
+    #[error(
+        "cluster {address}: {reason}; do its scheduler and executors run, in this program's \
+         version of Ballista, and do they read the archive under the same path?"
+    )]
+    Cluster {
+        /// Host and port of its scheduler.
+        address: String,
+        /// What happened.
+        reason: String,
+    },
 }
 
 fn line_text(line: usize) -> String {
@@ -82,7 +103,8 @@ impl Failure {
             Self::Read { .. } | Self::Print(_) => IOERR,
             Self::Content { .. } => DATAERR,
             Self::Write { .. } => CANTCREAT,
-            Self::Broker { .. } => UNAVAILABLE,
+            Self::Broker { .. } | Self::Cluster { .. } => UNAVAILABLE,
+            Self::Query { .. } => SOFTWARE,
         }
     }
 

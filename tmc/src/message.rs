@@ -1,10 +1,13 @@
-//! The density message as it arrives (`docs/schemas/density.schema.json`, schema 1).
+//! The density message as it arrives: JSON (`docs/schemas/density.schema.json`, schema 1) or
+//! the compact form (`verge::wire`).
 //!
-//! Owns reading and the checks that the archive relies on; fields that it does not know are
-//! passed over.
+//! Owns reading and the checks that the archive relies on; fields of JSON that it does not know
+//! are passed over. Both forms of a message give the same window.
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
+use verge::density::{LaneReport, SampleZoneStatus};
+use verge::wire;
 
 /// Version of the messages that are understood.
 const SCHEMA: u32 = 1;
@@ -59,6 +62,47 @@ pub struct Lane {
     pub status: String,
     /// Density along the lane, where the box measures it.
     pub cells: Option<Cells>,
+}
+
+impl Lane {
+    /// As the box writes it in JSON.
+    fn of_wire(report: &LaneReport) -> Result<Self, String> {
+        let status = match report.status {
+            SampleZoneStatus::Ok => "oK",
+            SampleZoneStatus::SensorFailure => "sensorFailure",
+            SampleZoneStatus::InputDataIntegrity => "inputDataIntegrity",
+            SampleZoneStatus::PoorContrast => "poorContrast",
+            SampleZoneStatus::DetectionAutoSuspended => "detectionAutoSuspended",
+        };
+        let known = |value: Option<f32>| value.map(rounded).transpose();
+        let cells = report.cells.as_ref().map(|cells| {
+            let densities = cells.density_veh_km.as_ref();
+            let densities = densities.map(|all| all.iter().map(|k| known(Some(*k))).collect());
+            Ok::<_, String>(Cells {
+                length_m: rounded(cells.length_m)?,
+                density_veh_km: densities.transpose()?,
+            })
+        });
+        Ok(Self {
+            lane: report.lane.get(),
+            density_veh_km: known(report.density_veh_km)?,
+            density_se: known(report.density_se)?,
+            vehicles_mean: known(report.vehicles_mean)?,
+            space_occupancy: known(report.space_occupancy)?,
+            length_m: rounded(report.length_m)?,
+            frames_used: report.frames_used,
+            frames_expected: report.frames_expected,
+            status: status.to_owned(),
+            cells: cells.transpose()?,
+        })
+    }
+}
+
+/// A number with four decimals, as JSON messages have them.
+fn rounded(value: f32) -> Result<f32, String> {
+    let rounded = (value * 1e4).round() / 1e4;
+    let value = if rounded.is_finite() { rounded } else { value };
+    value.is_finite().then_some(value).ok_or_else(|| format!("has {value} for a number"))
 }
 
 /// Density by position: cells of one length from the lane's upstream end.
@@ -117,11 +161,44 @@ impl Window {
     ///
     /// # Errors
     /// What is wrong with it.
-    pub fn parse(json: &[u8]) -> Result<Self, String> {
+    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
+        // The compact form begins with its version.
+        let compact = matches!(bytes, [1..=wire::VERSION, ..]);
+        let window = if compact { Self::of_wire(bytes)? } else { Self::of_json(bytes)? };
+        window.check()?;
+        Ok(window)
+    }
+
+    fn of_json(json: &[u8]) -> Result<Self, String> {
         let window: Self = serde_json::from_slice(json).map_err(|error| error.to_string())?;
         if window.schema != SCHEMA {
             return Err(format!("has schema {}, this program reads {SCHEMA}", window.schema));
         }
+        Ok(window)
+    }
+
+    fn of_wire(bytes: &[u8]) -> Result<Self, String> {
+        let message = wire::decode(bytes).map_err(|error| error.to_string())?;
+        let report = &message.report;
+        let length_ms = report.to.0.saturating_sub(report.from.0);
+        if length_ms % 1000 != 0 {
+            return Err(format!("has a window of {length_ms} ms"));
+        }
+        Ok(Self {
+            schema: SCHEMA,
+            site: message.site.as_str().to_owned(),
+            seq: message.seq,
+            window_s: u32::try_from(length_ms / 1000).map_err(|error| error.to_string())?,
+            from: jiff::Timestamp::from_millisecond(report.from.0)
+                .map_err(|error| error.to_string())?,
+            clock_synced: message.clock_synced,
+            lanes: report.lanes.iter().map(Lane::of_wire).collect::<Result<_, _>>()?,
+            calibration: Calibration { rel_err: message.calibration.rel_err },
+        })
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let window = self;
         let site = &window.site;
         let plain = site.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b));
         if site.is_empty() || site.len() > LONGEST_SITE || !plain || site.starts_with('.') {
@@ -149,7 +226,7 @@ impl Window {
                 cells.check(lane.length_m).map_err(wrong)?;
             }
         }
-        Ok(window)
+        Ok(())
     }
 
     /// Beginning, ms since 1970.
@@ -207,5 +284,67 @@ pub(crate) mod tests {
             let error = Window::parse(right.replacen(from, to, 1).as_bytes()).unwrap_err();
             assert!(error.contains(said) || said == "seq", "{error}");
         }
+    }
+
+    #[test]
+    fn both_forms_of_a_message_give_the_same_window() {
+        use verge::density::{Cells, WindowReport};
+        use verge::units::{Direction, LaneId, UtcMs};
+        let lane = |number, status, densities: Option<&[f32]>| LaneReport {
+            lane: LaneId::new(number).unwrap(),
+            direction: Direction::Away,
+            density_veh_km: densities.map(|_| 12.500_01),
+            density_se: densities.map(|_| 1.0),
+            vehicles_mean: densities.map(|_| 1.25),
+            by_class: None,
+            space_occupancy: densities.map(|_| 0.05),
+            length_m: 100.0,
+            frames_used: if densities.is_some() { 30 } else { 0 },
+            frames_expected: 30,
+            status,
+            cells: Some(Cells {
+                length_m: if densities.is_some() { 50.0 } else { 25.0 },
+                density_veh_km: densities.map(|all| all.iter().copied().collect()),
+            }),
+        };
+        let name = |text: &str| text.try_into().unwrap();
+        let mut message = wire::DensityMessage {
+            site: name("k109f"),
+            seq: 7,
+            clock_synced: true,
+            report: WindowReport {
+                from: UtcMs(1_767_600_000_000),
+                to: UtcMs(1_767_600_060_000),
+                lanes: [
+                    lane(1, SampleZoneStatus::Ok, Some(&[20.0, 5.0])),
+                    lane(2, SampleZoneStatus::SensorFailure, None),
+                ]
+                .into_iter()
+                .collect(),
+            },
+            calibration: wire::CalibrationRef {
+                id: name("a"),
+                sha256: [0; 32],
+                rel_err: Some(0.02),
+            },
+            model: wire::ModelRef { name: name("m"), sha256: [0; 32] },
+        };
+        let parse = |message: &wire::DensityMessage| {
+            let mut buffer = [0; wire::MAX_MESSAGE];
+            Window::parse(wire::encode(message, &mut buffer).unwrap())
+        };
+        let json = self::message("k109f", 7, "2026-01-05T08:00:00.000Z");
+        let json = Window::parse(json.as_bytes()).unwrap();
+        assert_eq!(format!("{:?}", parse(&message).unwrap()), format!("{json:?}"));
+        let mut buffer = [0; wire::MAX_MESSAGE];
+        let bytes = wire::encode(&message, &mut buffer).unwrap();
+        for cut in 1..bytes.len() {
+            assert!(Window::parse(&bytes[..cut]).is_err(), "{cut}");
+        }
+        message.report.lanes[0].density_se = Some(f32::NAN);
+        assert!(parse(&message).unwrap_err().contains("NaN"));
+        message.report.lanes[0].density_se = None;
+        message.report.from = UtcMs(1_767_600_000_001);
+        assert!(parse(&message).unwrap_err().contains("59999 ms"));
     }
 }

@@ -5,10 +5,12 @@
 mod broker;
 mod common;
 
-use broker::{message, mosquitto, publish};
-use common::{Numbers, failure, text};
+use broker::{free_port, message, mosquitto, mosquitto_with, publish};
+use common::{Numbers, failure, stderr, text, tmc};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use verge_tmc::store;
@@ -110,6 +112,59 @@ fn two_archivers_share_the_load_and_one_archive() {
         assert!(child.wait().expect("it ran").success());
     }
     assert_whole(folder.path(), &sites, 400);
+}
+
+/// An authority and its certificate, and a certificate and key for localhost that it signed.
+fn certificates(folder: &Path) -> [PathBuf; 3] {
+    let key = || rcgen::KeyPair::generate().expect("a key");
+    let parameters = |name: &str| rcgen::CertificateParams::new([name.to_owned()]).expect("a name");
+    let (mut authority, authority_key) = (parameters("authority"), key());
+    authority.is_ca = rcgen::IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
+    let ca = authority.self_signed(&authority_key).expect("a certificate").pem();
+    let (issuer, server_key) = (rcgen::Issuer::new(authority, authority_key), key());
+    let server = parameters("localhost").signed_by(&server_key, &issuer).expect("a certificate");
+    let files = [("ca", ca), ("server", server.pem()), ("key", server_key.serialize_pem())];
+    files.map(|(name, text)| {
+        let path = folder.join(format!("{name}.pem"));
+        std::fs::write(&path, text).expect("writing a file");
+        // Debian's broker gives up root, and must read its key still.
+        for path in [folder, &path] {
+            std::fs::set_permissions(path, Permissions::from_mode(0o755)).expect("chmod");
+        }
+        path
+    })
+}
+
+#[test]
+fn through_tls_it_takes_from_a_broker_that_the_authority_knows() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [ca, certificate, key] = certificates(folder.path());
+    let port = free_port();
+    let (certificate, key) = (text(&certificate), text(&key));
+    let lines = format!(
+        "listener {port} 127.0.0.1\nallow_anonymous true\ncertfile {certificate}\nkeyfile {key}\n"
+    );
+    let Some(broker) = mosquitto_with(&lines) else { return };
+    let out = folder.path().join("archive");
+    let address = format!("localhost:{port}");
+    let archive = |ca: &str, more: &[&str]| {
+        let args = ["archive", "--broker", &address, "--ca", ca, "--out", text(&out)];
+        tmc(&[&args[..], more].concat())
+    };
+    // The session begins with the first run, and what is published then waits in it.
+    assert!(archive(text(&ca), &["--until-idle", "1"]).status.success());
+    let all = messages(&["north"], 5, &mut Numbers(1));
+    publish(broker.port, "boxes", &all, Duration::ZERO);
+    let output = archive(text(&ca), &["--until-idle", "2"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_whole(&out, &["north"], 5);
+    let stranger = tempfile::tempdir().expect("a folder");
+    let [other, ..] = certificates(stranger.path());
+    let output = archive(text(&other), &[]);
+    assert_eq!(output.status.code(), Some(69), "{}", stderr(&output));
+    let output = archive(key, &[]);
+    assert_eq!(output.status.code(), Some(65), "{}", stderr(&output));
+    assert!(stderr(&output).contains("give PEM certificates"), "{}", stderr(&output));
 }
 
 #[test]

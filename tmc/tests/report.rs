@@ -2,55 +2,12 @@
 
 mod common;
 
-use common::{failure, succeed, text};
+use common::{failure, made_day as day, succeed, text};
 use std::path::Path;
-use verge_tmc::store::{self, Partition, Row};
+use verge_tmc::store::Partition;
 
 /// Monday 5 January 2026.
 const MONDAY: i64 = 20_458;
-
-/// A day of minutes: lane 1 has the hour of the day as density, lane 2 twice that and nothing
-/// before 06:00; two cells of 10 m with half and one and a half of the lane's density.
-fn day(site: &str, day: i64, root: &Path) {
-    let mut rows = Vec::new();
-    for minute in 0..1440 {
-        for lane in 1..=2 {
-            let known = lane == 1 || minute >= 360;
-            let density = known.then_some((minute / 60 * lane) as f32);
-            let row = Row {
-                window_s: 60,
-                from_ms: day * store::DAY_MS + i64::from(minute) * 60_000,
-                lane,
-                cell: None,
-                position_m: None,
-                length_m: 20.0,
-                density,
-                se: None,
-                vehicles: None,
-                occupancy: None,
-                frames_used: 30,
-                frames_expected: 30,
-                status: if known { 2 } else { 10 },
-                seq: i64::from(minute) + 1,
-                clock_synced: true,
-                rel_err: None,
-            };
-            for (cell, share) in [0.5, 1.5].into_iter().enumerate() {
-                rows.push(Row {
-                    cell: Some(cell as i32),
-                    position_m: Some(cell as f32 * 10.0),
-                    length_m: 10.0,
-                    density: density.map(|density| density * share),
-                    ..row.clone()
-                });
-            }
-            rows.push(row);
-        }
-    }
-    rows.sort_by_key(Row::key);
-    let partition = Partition { site: site.into(), day };
-    store::write(&partition.path(root), &rows).expect("writing a file");
-}
 
 fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))

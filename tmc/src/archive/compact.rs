@@ -4,6 +4,7 @@
 //! whole; a segment goes when all its windows are in their files. A crash in between repeats
 //! the work and changes nothing. A lock on the archive lets several archivers share it.
 
+use super::gaps::{self, Gap};
 use super::journal;
 use crate::failure::Failure;
 use crate::message::{Window, status_number};
@@ -32,6 +33,8 @@ pub struct Done {
     pub gaps: Vec<Gap>,
     /// The days that were touched.
     days: Vec<Partition>,
+    /// Those whose first and those whose last window is another than before.
+    edges: gaps::Edges,
 }
 
 impl Done {
@@ -41,27 +44,12 @@ impl Done {
         self.duplicates += later.duplicates;
         self.rejected += later.rejected;
         // A day that was touched again has new gaps.
-        let again = |gap: &Gap| {
-            let day = gap.after_ms.div_euclid(DAY_MS);
-            later.days.iter().any(|touched| touched.day == day && touched.site == gap.site)
-        };
-        self.gaps.retain(|gap| !again(gap));
+        self.gaps.retain(|gap| !later.days.iter().any(|day| gap.begins_in(day)));
         self.gaps.extend(later.gaps);
         self.days.extend(later.days);
+        self.edges.first.extend(later.edges.first);
+        self.edges.last.extend(later.edges.last);
     }
-}
-
-/// Messages that are missing between two windows.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Gap {
-    /// Whose.
-    pub site: String,
-    /// Length of the windows, s.
-    pub window_s: i32,
-    /// Beginning of the window after which they are missing, ms since 1970.
-    pub after_ms: i64,
-    /// How many.
-    pub missing: i64,
 }
 
 /// Moves closed segments into the archive under `root`.
@@ -89,6 +77,9 @@ pub fn compact(root: &Path, segments: &[PathBuf]) -> Result<Done, Failure> {
         }
         rest = &rest[count..];
     }
+    // Only now are all days as they will be.
+    done.gaps.extend(gaps::between(root, &done.edges)?);
+    done.gaps.sort();
     Ok(done)
 }
 
@@ -151,13 +142,13 @@ fn merge_all(root: &Path, days: BTreeMap<Partition, Vec<Window>>) -> Result<Done
     for result in results {
         done.take(result?);
     }
-    done.gaps.sort_by(|a, b| (&a.site, a.after_ms).cmp(&(&b.site, b.after_ms)));
     Ok(done)
 }
 
 fn merge(root: &Path, partition: &Partition, windows: &[Window]) -> Result<Done, Failure> {
     let path = partition.path(root);
     let mut rows = if path.exists() { store::read(&path)? } else { Vec::new() };
+    let known = rows.len();
     let mut there: BTreeSet<(i32, i64)> =
         rows.iter().map(|row| (row.window_s, row.from_ms)).collect();
     let mut done = Done { days: vec![partition.clone()], ..Done::default() };
@@ -170,10 +161,12 @@ fn merge(root: &Path, partition: &Partition, windows: &[Window]) -> Result<Done,
         }
     }
     if done.windows > 0 {
+        let before = gaps::ends(&rows[..known]);
         rows.sort_by_key(Row::key);
         store::write(&path, &rows)?;
+        done.edges = gaps::Edges::of(partition, &before, &gaps::ends(&rows));
     }
-    done.gaps = gaps(&partition.site, &rows);
+    done.gaps = gaps::within(&partition.site, &rows);
     Ok(done)
 }
 
@@ -220,28 +213,6 @@ pub fn of_window(window: &Window) -> Vec<Row> {
     rows
 }
 
-/// Gaps in the numbers of the messages of sorted rows. A number that is not above the one
-/// before it is a box that was started again.
-pub fn gaps(site: &str, rows: &[Row]) -> Vec<Gap> {
-    let mut found = Vec::new();
-    for pair in rows.windows(2) {
-        let [before, after] = pair else { continue };
-        if before.cell.is_some() || after.cell.is_some() || before.window_s != after.window_s {
-            continue;
-        }
-        let missing = after.seq - before.seq - 1;
-        if missing > 0 {
-            found.push(Gap {
-                site: site.to_owned(),
-                window_s: before.window_s,
-                after_ms: before.from_ms,
-                missing,
-            });
-        }
-    }
-    found
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -283,6 +254,31 @@ mod tests {
         assert_eq!(keys.len(), rows.len());
         assert_eq!(fs::read_dir(root.join("_rejected")).unwrap().count(), 1);
         assert!(journal.closed().unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_gap_over_midnight_is_found_whichever_day_comes_first() {
+        let at = |seq, time: &str| message("a", seq, &format!("2026-01-{time}:00.000Z"));
+        let (evening, later) = (at(7, "05T23:58"), at(8, "05T23:59"));
+        // A day without a file lies between; 900 s is no neighbour of 60 s.
+        let (morning, other) = (at(11, "07T00:00"), at(40, "07T00:00").replace(":60,", ":900,"));
+        let second = at(12, "07T00:01");
+        for order in [[&evening, &morning], [&morning, &evening]] {
+            let folder = tempfile::tempdir().unwrap();
+            let root = folder.path();
+            let mut journal = Journal::open(&root.join("_journal/a")).unwrap();
+            let mut missing = |messages: &[&String]| {
+                journal.append(messages.iter().map(|message| message.as_bytes())).unwrap();
+                journal.close_segment();
+                let done = compact(root, &journal.closed().unwrap()).unwrap();
+                done.gaps.iter().map(|gap| gap.missing).collect::<Vec<_>>()
+            };
+            assert_eq!(missing(&order[..1]), [0; 0]);
+            assert_eq!(missing(&order[1..]), [3]);
+            assert_eq!(missing(&[&other]), [3], "the day has another first window");
+            assert_eq!(missing(&[&second]), [0; 0], "that is not beside the gap");
+            assert_eq!(missing(&[&later]), [2]);
+        }
     }
 
     #[test]

@@ -5,11 +5,14 @@
 //! `subscriber` is the door to the broker, `journal` and `compact` the two halves of the disk.
 
 pub mod compact;
+mod gaps;
 pub mod journal;
 mod subscriber;
+mod tls;
 
 use crate::failure::Failure;
-use compact::{Done, Gap};
+use compact::Done;
+use gaps::Gap;
 use journal::{Journal, SEGMENT_BYTES};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -39,6 +42,9 @@ pub struct Arguments {
     /// File with the password.
     #[arg(long, value_name = "FILE", requires = "user")]
     password_file: Option<PathBuf>,
+    /// TLS to the broker, whose certificate an authority in this PEM file has signed.
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
     /// Folder of the archive.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -81,7 +87,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let messages = subscriber.receive(TICK);
         if !messages.is_empty() {
             first.get_or_insert_with(Instant::now);
-            journal.append(messages.iter().map(|message| &message.payload[..]))?;
+            // An empty one ends a replay of compact messages.
+            let payloads = messages.iter().map(|message| &message.payload[..]);
+            journal.append(payloads.filter(|payload| !payload.is_empty()))?;
             subscriber.acknowledge(&messages);
             heard = Instant::now();
             taken += messages.len();
@@ -125,7 +133,8 @@ fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
     };
     let filters =
         ["density", "replay/density"].map(|kind| format!("{shared}{}/+/{kind}/+", arguments.root));
-    Ok(Settings { host, port, name: arguments.name.clone(), credentials, filters })
+    let tls = arguments.ca.as_deref().map(tls::load).transpose()?;
+    Ok(Settings { host, port, name: arguments.name.clone(), credentials, tls, filters })
 }
 
 /// The thread that compacts, one run at a time.

@@ -3,8 +3,10 @@
 //! Owns the session, which the broker keeps while the archiver is away, the subscriptions
 //! and the acknowledgements, which are given by hand.
 
+use super::tls::Tls;
 use crate::failure::Failure;
 use rumqttc::{Client, Connection, Event, MqttOptions, Packet, Publish, QoS};
+use rumqttc::{TlsConfiguration, Transport};
 use std::time::{Duration, Instant};
 
 /// Longest wait for the broker at the start.
@@ -28,6 +30,7 @@ pub(super) struct Settings {
     /// Client id: the name of the session.
     pub(super) name: String,
     pub(super) credentials: Option<(String, String)>,
+    pub(super) tls: Option<Tls>,
     pub(super) filters: [String; 2],
 }
 
@@ -41,7 +44,7 @@ pub(super) struct Subscriber {
 impl Subscriber {
     /// Connects and subscribes.
     pub(super) fn connect(settings: Settings) -> Result<Self, Failure> {
-        let Settings { host, port, name, credentials, filters } = settings;
+        let Settings { host, port, name, credentials, tls, filters } = settings;
         let address = format!("{host}:{port}");
         let mut options = MqttOptions::new(name, host, port);
         options.set_keep_alive(KEEP_ALIVE);
@@ -50,6 +53,9 @@ impl Subscriber {
         options.set_max_packet_size(LARGEST, LARGEST);
         if let Some((user, password)) = credentials {
             options.set_credentials(user, password);
+        }
+        if let Some(tls) = tls {
+            options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(tls.0)));
         }
         let (client, connection) = Client::new(options, REQUESTS);
         let mut subscriber = Self { client, connection, filters, connected: false };

@@ -1,6 +1,7 @@
 //! The charts of a report: average day, week, density along the road, completeness.
 
-use super::summary::{BINS, LANES, Mean, Summary};
+use super::queries::{BINS, LANES};
+use super::summary::{Mean, Summary};
 use crate::chart::axes::{Tick, round_ticks};
 use crate::chart::{Anchor, Axes, Colour, Drawing, Shape, UNKNOWN, shade};
 use crate::store;

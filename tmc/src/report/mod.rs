@@ -1,20 +1,29 @@
 //! `verge-tmc report`: what the archive says about time, weekday and place.
 //!
-//! Owns the command and its order: each site is read day by day by one thread, which keeps
-//! its sums and no rows, then writes the site's folder. `summary` sums, `charts` draws,
-//! `page` writes HTML and CSV.
+//! Owns the command and its order: some sites at a time, each asked for its sums and written
+//! into its folder. `queries` asks, `engine` answers, on this machine or on a cluster,
+//! `summary` holds the sums, `charts` draws, `page` writes HTML and CSV.
 
 mod charts;
+mod engine;
 mod page;
+mod queries;
 mod summary;
 
-pub use summary::{BINS, Mean, Summary};
+pub use queries::BINS;
+pub use summary::{Mean, Summary};
 
 use crate::failure::{Failure, print};
 use crate::store::{self, DAY_MS, Partition};
 use crate::whole;
+use engine::Engine;
+use queries::Scope;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::Arc;
+use tokio::task::JoinSet;
+
+/// Parts of a query on a cluster: a site's days are shared out between that many tasks.
+const CLUSTER_PARTITIONS: usize = 8;
 
 /// Arguments of `report`.
 #[derive(clap::Args, Debug)]
@@ -43,6 +52,10 @@ pub struct Arguments {
     /// Sites read at the same time; without it as many as there are processors.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
+    /// Scheduler of a Ballista cluster that is to run the queries; it and its executors see
+    /// the archive under the same path.
+    #[arg(long, value_name = "HOST:PORT")]
+    cluster: Option<String>,
 }
 
 /// Runs `report`.
@@ -51,38 +64,19 @@ pub struct Arguments {
 /// [`Failure`]: no archive, nothing in it that was asked for, a damaged file, an output that
 /// cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let offset_ms = offset_ms(&arguments.utc_offset)?;
     let sites = chosen(arguments)?;
+    let offset_ms = offset_ms(&arguments.utc_offset)?;
     let threads = arguments
         .threads
         .or_else(|| std::thread::available_parallelism().ok().map(Into::into))
         .unwrap_or(1)
-        .clamp(1, sites.len());
-    let queue = Mutex::new(sites.into_iter());
-    let work = || -> Result<Vec<Summary>, Failure> {
-        let mut done = Vec::new();
-        loop {
-            let next = queue.lock().expect("no thread panics with it").next();
-            let Some((site, days)) = next else { return Ok(done) };
-            let summary = summarise(arguments, &site, &days, offset_ms)?;
-            if summary.is_empty() {
-                continue;
-            }
-            let folder = arguments.out.join(&site);
-            for (name, bytes) in page::site_files(&summary) {
-                whole::write(&folder.join(name), &bytes)?;
-            }
-            done.push(summary.without_places());
-        }
-    };
-    let results: Vec<Result<Vec<Summary>, Failure>> = std::thread::scope(|scope| {
-        let running: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
-        running.into_iter().map(|thread| thread.join().expect("no thread panics")).collect()
-    });
-    let mut summaries = Vec::new();
-    for result in results {
-        summaries.extend(result?);
-    }
+        .max(1);
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(threads)
+        .enable_all()
+        .build()
+        .map_err(|error| Failure::Usage(format!("--threads {threads}: {error}")))?;
+    let mut summaries = runtime.block_on(summarise_all(arguments, sites, offset_ms, threads))?;
     summaries.sort_by(|a, b| a.site.cmp(&b.site));
     if summaries.is_empty() {
         let reason = "has no window of that length; leave --window out for the shortest";
@@ -97,23 +91,69 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     print(&format!("{count} sites, {rows} rows: {}\n", index.display()))
 }
 
-/// Reads a site's days into sums.
-fn summarise(
+/// A site with its days.
+type Site = (String, Vec<Partition>);
+
+/// Writes every site's folder, `threads` at a time; their sums.
+async fn summarise_all(
     arguments: &Arguments,
-    site: &str,
-    days: &[Partition],
+    sites: Vec<Site>,
     offset_ms: i64,
-) -> Result<Summary, Failure> {
-    let mut summary = Summary::new(site, arguments.window, offset_ms);
-    for day in days {
-        let path = day.path(&arguments.archive);
-        store::read_lanes(&path, |columns| summary.add(day.day, columns))?;
+    threads: usize,
+) -> Result<Vec<Summary>, Failure> {
+    // Few sites are split, so that no processor is without work; many are one part each.
+    let partitions = if arguments.cluster.is_some() {
+        CLUSTER_PARTITIONS
+    } else {
+        threads.div_ceil(sites.len())
+    };
+    let cluster = arguments.cluster.as_deref();
+    let engine = Arc::new(Engine::open(&arguments.archive, cluster, partitions).await?);
+    let (mut sites, mut running) = (sites.into_iter(), JoinSet::new());
+    let mut summaries = Vec::new();
+    loop {
+        while let Some((site, days)) = (running.len() < threads).then(|| sites.next()).flatten() {
+            let engine = Arc::clone(&engine);
+            let (archive, folder) = (arguments.archive.clone(), arguments.out.join(&site));
+            let ends = [days[0].day, days[days.len() - 1].day];
+            let scope = Scope { site, days: ends, window_s: arguments.window, offset_ms };
+            running.spawn(async move {
+                let summary = match summarise(&engine, scope).await {
+                    Ok(summary) => summary,
+                    // The engine does not name the file that it could not read.
+                    Err(failure) => return Err(damage(&archive, &days).unwrap_or(failure)),
+                };
+                if summary.is_empty() {
+                    return Ok(None);
+                }
+                for (name, bytes) in page::site_files(&summary) {
+                    whole::write(&folder.join(name), &bytes)?;
+                }
+                Ok(Some(summary.without_places()))
+            });
+        }
+        let Some(done) = running.join_next().await else { return Ok(summaries) };
+        summaries.extend(done.expect("no site's task panics")?);
+    }
+}
+
+/// Asks for a site's sums.
+async fn summarise(engine: &Engine, mut scope: Scope) -> Result<Summary, Failure> {
+    let mut summary = Summary::of_lanes(&scope.site, &engine.ask(&queries::lanes(&scope)).await?);
+    if !summary.is_empty() {
+        scope.window_s = summary.window_s;
+        summary.add_cells(&engine.ask(&queries::cells(&scope)).await?);
     }
     Ok(summary)
 }
 
+/// What is wrong with the first of the files that is not as it should be.
+fn damage(archive: &Path, days: &[Partition]) -> Option<Failure> {
+    days.iter().find_map(|day| store::read(&day.path(archive)).err())
+}
+
 /// Sites with their days, as asked for.
-fn chosen(arguments: &Arguments) -> Result<Vec<(String, Vec<Partition>)>, Failure> {
+fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
     let limit = |text: &Option<String>, name: &str, none: i64| {
         let Some(text) = text else { return Ok(none) };
         let time: Result<jiff::Timestamp, _> = format!("{text}T00:00:00Z").parse();
@@ -122,7 +162,7 @@ fn chosen(arguments: &Arguments) -> Result<Vec<(String, Vec<Partition>)>, Failur
     };
     let first = limit(&arguments.from, "from", i64::MIN)?;
     let last = limit(&arguments.to, "to", i64::MAX)?;
-    let mut sites: Vec<(String, Vec<Partition>)> = Vec::new();
+    let mut sites: Vec<Site> = Vec::new();
     for partition in store::partitions(&arguments.archive)? {
         let named = arguments.site.is_empty() || arguments.site.contains(&partition.site);
         if !named || !(first..=last).contains(&partition.day) {

@@ -1,7 +1,8 @@
 //! The files of a report: HTML with its charts inside, PNG, CSV.
 
 use super::charts;
-use super::summary::{BINS, Mean, Summary};
+use super::queries::BINS;
+use super::summary::{Mean, Summary};
 use crate::chart::Drawing;
 use crate::store;
 use std::fmt::Write;

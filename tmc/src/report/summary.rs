@@ -1,19 +1,19 @@
-//! The sums of one site: everything that a report needs, whatever the number of rows.
+//! The sums of one site: what a report draws, from the rows that the queries return.
 //!
 //! Means are over windows with a known density; what is not known counts in the completeness
-//! alone. Time of day is local and in bins of 15 minutes, as the paper's figures have it.
+//! alone. Densities have 24 bits and are added up in 53: below 2^29 times the least of them
+//! their sums are exact, and so the same in whatever order they were added.
 
-use crate::store::{Columns, DAY_MS};
+use super::queries::{BINS, LANES};
+use crate::store::DAY_MS;
+use datafusion::arrow::array::{Array, AsArray, PrimitiveArray, RecordBatch};
+use datafusion::arrow::datatypes::{
+    ArrowPrimitiveType, Float32Type, Float64Type, Int32Type, Int64Type,
+};
+use std::collections::BTreeMap;
 
-/// Bins of a day.
-pub const BINS: usize = 96;
-const BIN_MS: i64 = DAY_MS / BINS as i64;
-/// Lanes are numbered 1 to 8.
-pub const LANES: usize = 8;
 /// Most cells along a road: more are faults.
 const MOST_CELLS: usize = 4096;
-/// 1970-01-01 was a Thursday; Monday is 0.
-const EPOCH_WEEKDAY: i64 = 3;
 
 /// A running mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -24,9 +24,9 @@ pub struct Mean {
 }
 
 impl Mean {
-    fn add(&mut self, value: f32) {
-        self.sum += f64::from(value);
-        self.count += 1;
+    fn add(&mut self, other: Self) {
+        self.sum += other.sum;
+        self.count += other.count;
     }
 
     /// Takes in another mean's value as one.
@@ -62,11 +62,7 @@ pub struct Along {
 }
 
 impl Along {
-    fn add(&mut self, bin: usize, position_m: f32, length_m: f32, density: f32) {
-        if self.cell_m <= 0.0 {
-            // A lane's first cell is a whole one; its last may be short.
-            self.cell_m = length_m;
-        }
+    fn add(&mut self, bin: usize, position_m: f32, densities: Mean) {
         // Cells of another length, from another lane table, go to the nearest of these.
         let cell = (position_m / self.cell_m).round();
         if !(0.0..MOST_CELLS as f32).contains(&cell) {
@@ -76,7 +72,7 @@ impl Along {
         if cell >= self.day.len() {
             self.day.resize(cell + 1, [Mean::default(); BINS]);
         }
-        self.day[cell][bin].add(density);
+        self.day[cell][bin].add(densities);
     }
 
     /// Where a cell begins, m.
@@ -87,11 +83,9 @@ impl Along {
     /// The mean of each cell over all windows.
     pub fn means(&self) -> impl Iterator<Item = Mean> {
         self.day.iter().map(|bins| {
-            let all = |all: Mean, bin: &Mean| Mean {
-                sum: all.sum + bin.sum,
-                count: all.count + bin.count,
-            };
-            bins.iter().fold(Mean::default(), all)
+            let mut all = Mean::default();
+            bins.iter().for_each(|bin| all.add(*bin));
+            all
         })
     }
 }
@@ -101,9 +95,8 @@ impl Along {
 pub struct Summary {
     /// Which.
     pub site: String,
-    /// Length of the windows, s; none before the first row.
+    /// Length of the windows, s; none where there are none.
     pub window_s: Option<i32>,
-    offset_ms: i64,
     /// Rows read, of lanes and cells.
     pub rows: u64,
     /// Time of day x lane (from 0).
@@ -117,52 +110,62 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of a site, for windows of that length (none: of the first that comes).
-    pub fn new(site: &str, window_s: Option<i32>, offset_ms: i64) -> Self {
-        Self {
+    /// Of a site, from the rows of `queries::lanes`: of the shortest windows in them.
+    pub(super) fn of_lanes(site: &str, batches: &[RecordBatch]) -> Self {
+        let windows = |batch| column::<Int32Type>(batch, "window_s");
+        let window_s = batches.iter().flat_map(|batch| windows(batch).values()).min().copied();
+        let mut summary = Self {
             site: site.to_owned(),
             window_s,
-            offset_ms,
             rows: 0,
             day_by_lane: vec![[Mean::default(); LANES]; BINS],
             week: vec![[Mean::default(); BINS]; 7],
             along: Default::default(),
             days: Vec::new(),
+        };
+        let mut days = BTreeMap::<i64, [Windows; LANES]>::new();
+        for batch in batches {
+            let (windows, lanes) = (windows(batch), column::<Int32Type>(batch, "lane"));
+            let integers = |name| column::<Int64Type>(batch, name);
+            let (weekdays, bins, dates) = (integers("weekday"), integers("bin"), integers("day"));
+            let (archived, sums) = (integers("archived"), Sums::of(batch));
+            for row in 0..batch.num_rows() {
+                if Some(windows.value(row)) != window_s {
+                    continue;
+                }
+                let lane = (lanes.value(row) - 1) as usize;
+                if dates.is_null(row) {
+                    let (weekday, bin) = (weekdays.value(row), bins.value(row) as usize);
+                    summary.day_by_lane[bin][lane].add(sums.get(row));
+                    summary.week[weekday as usize][bin].add(sums.get(row));
+                } else {
+                    summary.rows += archived.value(row) as u64;
+                    let known = sums.get(row).count as u32;
+                    days.entry(dates.value(row)).or_default()[lane] =
+                        Windows { archived: archived.value(row) as u32, known };
+                }
+            }
         }
+        summary.days = days.into_iter().collect();
+        summary
     }
 
-    /// Takes the rows of a day's file, lanes or cells.
-    pub fn add(&mut self, day: i64, columns: &Columns) {
-        let Some(&first) = columns.window_s.first() else { return };
-        let window_s = *self.window_s.get_or_insert(first);
-        let lanes = columns.length_m.is_empty();
-        let mut windows = [Windows::default(); LANES];
-        for i in 0..columns.window_s.len() {
-            let lane = (columns.lane[i] - 1) as usize;
-            if columns.window_s[i] != window_s || lane >= LANES {
-                continue;
-            }
-            self.rows += 1;
-            let density = columns.density[i];
-            let local = columns.from_ms[i] + self.offset_ms;
-            let bin = (local.rem_euclid(DAY_MS) / BIN_MS) as usize;
-            if !lanes {
-                if !density.is_nan() {
-                    let (position_m, length_m) = (columns.position_m[i], columns.length_m[i]);
-                    self.along[lane].add(bin, position_m, length_m, density);
-                }
-                continue;
-            }
-            windows[lane].archived += 1;
-            if !density.is_nan() {
-                windows[lane].known += 1;
-                self.day_by_lane[bin][lane].add(density);
-                let weekday = (local.div_euclid(DAY_MS) + EPOCH_WEEKDAY).rem_euclid(7) as usize;
-                self.week[weekday][bin].add(density);
+    /// Takes the rows of `queries::cells`.
+    pub(super) fn add_cells(&mut self, batches: &[RecordBatch]) {
+        let groups: Vec<CellGroup> = batches.iter().flat_map(CellGroup::all).collect();
+        self.rows += groups.iter().map(|group| group.archived).sum::<u64>();
+        let known = || groups.iter().filter(|group| group.densities.count > 0);
+        // A lane's first cell is a whole one; its last may be short.
+        let mut first = [(i64::MAX, f32::INFINITY); LANES];
+        for group in known() {
+            let place = (group.since_ms, group.position_m);
+            if place < first[group.lane] {
+                first[group.lane] = place;
+                self.along[group.lane].cell_m = group.length_m;
             }
         }
-        if lanes && windows.iter().any(|lane| lane.archived > 0) {
-            self.days.push((day, windows));
+        for group in known() {
+            self.along[group.lane].add(group.bin, group.position_m, group.densities);
         }
     }
 
@@ -199,10 +202,7 @@ impl Summary {
     /// The mean density over everything, veh/km/lane.
     pub fn mean(&self) -> Mean {
         let mut mean = Mean::default();
-        for bin in self.day_by_lane.iter().flatten() {
-            mean.sum += bin.sum;
-            mean.count += bin.count;
-        }
+        self.day_by_lane.iter().flatten().for_each(|bin| mean.add(*bin));
         mean
     }
 
@@ -213,34 +213,131 @@ impl Summary {
     }
 }
 
+/// Cells of one lane, place and time of day.
+struct CellGroup {
+    /// From 0.
+    lane: usize,
+    position_m: f32,
+    length_m: f32,
+    bin: usize,
+    archived: u64,
+    densities: Mean,
+    /// The first window with a density.
+    since_ms: i64,
+}
+
+impl CellGroup {
+    fn all(batch: &RecordBatch) -> impl Iterator<Item = Self> {
+        let (lanes, sums) = (column::<Int32Type>(batch, "lane"), Sums::of(batch));
+        let metres = |name| column::<Float32Type>(batch, name);
+        let (positions, lengths) = (metres("position_m"), metres("length_m"));
+        let integers = |name| column::<Int64Type>(batch, name);
+        let (bins, archived, since) = (integers("bin"), integers("archived"), integers("first"));
+        (0..batch.num_rows()).map(move |row| Self {
+            lane: (lanes.value(row) - 1) as usize,
+            position_m: if positions.is_null(row) { f32::NAN } else { positions.value(row) },
+            length_m: lengths.value(row),
+            bin: bins.value(row) as usize,
+            archived: archived.value(row) as u64,
+            densities: sums.get(row),
+            since_ms: since.value(row),
+        })
+    }
+}
+
+/// Sums of densities and their counts.
+struct Sums<'a>(&'a PrimitiveArray<Float64Type>, &'a PrimitiveArray<Int64Type>);
+
+impl<'a> Sums<'a> {
+    fn of(batch: &'a RecordBatch) -> Self {
+        Self(column(batch, "density"), column(batch, "known"))
+    }
+
+    fn get(&self, row: usize) -> Mean {
+        // A sum of nothing is null, and 0 below that.
+        let sum = if self.0.is_null(row) { 0.0 } else { self.0.value(row) };
+        Mean { sum, count: self.1.value(row) as u64 }
+    }
+}
+
+fn column<'a, T: ArrowPrimitiveType>(batch: &'a RecordBatch, name: &str) -> &'a PrimitiveArray<T> {
+    batch.column_by_name(name).expect("the queries name it").as_primitive()
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::engine::Engine;
+    use super::super::queries::{self, Scope};
     use super::*;
+    use crate::store::{self, Partition, Row};
+
+    /// Monday 5 January 2026, 23:30 UTC, is Tuesday 07:30 in Hong Kong.
+    const FROM: i64 = 1_767_655_800_000;
+
+    fn lane(window_s: i32, from_ms: i64, lane: i32, density: Option<f32>) -> Row {
+        Row {
+            window_s,
+            from_ms,
+            lane,
+            cell: None,
+            position_m: None,
+            length_m: 77.0,
+            density,
+            se: None,
+            vehicles: None,
+            occupancy: None,
+            frames_used: 30,
+            frames_expected: 30,
+            status: 2,
+            seq: 1,
+            clock_synced: true,
+            rel_err: None,
+        }
+    }
+
+    /// Sums of one day's rows, Hong Kong time.
+    fn summary(mut rows: Vec<Row>) -> Summary {
+        let folder = tempfile::tempdir().unwrap();
+        let day = Partition { site: "a".into(), day: FROM.div_euclid(DAY_MS) };
+        rows.sort_by_key(Row::key);
+        store::write(&day.path(folder.path()), &rows).unwrap();
+        let mut scope = Scope {
+            site: "a".into(),
+            days: [day.day; 2],
+            window_s: None,
+            offset_ms: 8 * 3_600_000,
+        };
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let engine = Engine::open(folder.path(), None, 1).await.unwrap();
+            let batches = engine.ask(&queries::lanes(&scope)).await.unwrap();
+            let mut summary = Summary::of_lanes("a", &batches);
+            scope.window_s = summary.window_s;
+            summary.add_cells(&engine.ask(&queries::cells(&scope)).await.unwrap());
+            summary
+        })
+    }
 
     #[test]
     fn rows_fall_into_local_time_weekday_and_place() {
-        // Monday 5 January 2026, 23:30 UTC, is Tuesday 07:30 in Hong Kong.
-        let from = 1_767_655_800_000;
-        let mut summary = Summary::new("a", None, 8 * 3_600_000);
-        let lanes = Columns {
-            window_s: vec![60, 60, 60, 900],
-            from_ms: vec![from, from, from + 60_000, from],
-            lane: vec![1, 2, 1, 1],
-            position_m: vec![f32::NAN; 4],
-            length_m: vec![],
-            density: vec![10.0, f32::NAN, 20.0, 99.0],
+        let cell = |number, cell, position_m, length_m, density| Row {
+            cell: Some(cell),
+            position_m: Some(position_m),
+            length_m,
+            ..lane(60, FROM, number, density)
         };
-        summary.add(20_458, &lanes);
-        let cells = Columns {
-            window_s: vec![60; 5],
-            from_ms: vec![from; 5],
-            lane: vec![1, 1, 2, 2, 2],
+        let summary = summary(vec![
+            lane(60, FROM, 1, Some(10.0)),
+            lane(60, FROM, 2, None),
+            lane(60, FROM + 60_000, 1, Some(20.0)),
+            lane(900, FROM, 1, Some(99.0)),
+            cell(1, 0, 0.0, 10.0, Some(30.0)),
+            cell(1, 1, 10.0, 4.0, Some(40.0)),
             // The sixth cell of 11 m of lane 2 is the sixth, whatever the cells of lane 1.
-            position_m: vec![0.0, 10.0, 0.0, 55.0, 66.0],
-            length_m: vec![10.0, 4.0, 11.0, 11.0, 11.0],
-            density: vec![30.0, 40.0, 50.0, 60.0, f32::NAN],
-        };
-        summary.add(20_458, &cells);
+            cell(2, 0, 0.0, 11.0, Some(50.0)),
+            cell(2, 5, 55.0, 11.0, Some(60.0)),
+            cell(2, 6, 66.0, 11.0, None),
+        ]);
         assert_eq!((summary.rows, summary.lanes()), (8, vec![0, 1]));
         assert_eq!(summary.day_by_lane[30][0].value(), Some(15.0));
         assert_eq!(summary.day_by_lane[30][1].value(), None);
@@ -254,8 +351,33 @@ mod tests {
             (summary.along[1].day[5][29].value(), summary.along[1].position_m(5)),
             (None, 55.0)
         );
+        assert_eq!(summary.days[0].0, 20_458);
         let [archived, known] = summary.completeness(&summary.days[0].1);
         assert!((archived - 3.0 / 2880.0).abs() < 1e-12 && (known - 2.0 / 2880.0).abs() < 1e-12);
         assert_eq!(summary.mean().value(), Some(15.0));
+    }
+
+    #[test]
+    fn a_new_lane_table_goes_to_the_cells_of_the_first() {
+        let cell = |minute: i64, position_m, length_m, density| Row {
+            cell: Some(0),
+            position_m: Some(position_m),
+            length_m,
+            ..lane(60, FROM + minute * 60_000, 1, density)
+        };
+        let summary = summary(vec![
+            lane(60, FROM, 1, None),
+            // Not known: its cells of 5 m are not the first.
+            cell(0, 0.0, 5.0, None),
+            cell(1, 0.0, 10.0, Some(1.0)),
+            cell(1, 10.0, 10.0, Some(2.0)),
+            cell(2, 0.0, 9.0, Some(3.0)),
+            cell(2, 9.0, 9.0, Some(6.0)),
+            cell(2, 18.0, 9.0, Some(9.0)),
+        ]);
+        let means: Vec<_> = summary.along[0].means().map(Mean::value).collect();
+        assert_eq!(summary.along[0].cell_m, 10.0);
+        assert_eq!(means, [Some(2.0), Some(4.0), Some(9.0)]);
+        assert_eq!(summary.rows, 7);
     }
 }

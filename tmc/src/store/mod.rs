@@ -8,7 +8,7 @@
 
 mod parquet_file;
 
-pub use parquet_file::{Columns, read, read_lanes, write};
+pub use parquet_file::{arrow_schema, read, write};
 
 use crate::failure::Failure;
 use std::path::{Path, PathBuf};
@@ -96,18 +96,34 @@ pub fn date(day: i64) -> String {
 pub fn partitions(root: &Path) -> Result<Vec<Partition>, Failure> {
     let mut found = Vec::new();
     for (site, folder) in named(root, "site=")? {
-        for (date, folder) in named(&folder, "date=")? {
-            let day = format!("{date}T00:00:00Z").parse::<jiff::Timestamp>();
-            let Ok(day) = day else {
-                return Err(Failure::content(&folder, 0, "is no folder of a day: date=YYYY-MM-DD"));
-            };
-            let day = day.as_millisecond() / DAY_MS;
-            if folder.join(FILE).exists() {
-                found.push(Partition { site: site.clone(), day });
-            }
-        }
+        found.extend(days(&site, &folder)?);
     }
     found.sort();
+    Ok(found)
+}
+
+/// The partitions of one site that have a file, by day.
+///
+/// # Errors
+/// As [`partitions`].
+pub fn site_partitions(root: &Path, site: &str) -> Result<Vec<Partition>, Failure> {
+    let mut found = days(site, &root.join(format!("site={site}")))?;
+    found.sort();
+    Ok(found)
+}
+
+fn days(site: &str, folder: &Path) -> Result<Vec<Partition>, Failure> {
+    let mut found = Vec::new();
+    for (date, folder) in named(folder, "date=")? {
+        let day = format!("{date}T00:00:00Z").parse::<jiff::Timestamp>();
+        let Ok(day) = day else {
+            return Err(Failure::content(&folder, 0, "is no folder of a day: date=YYYY-MM-DD"));
+        };
+        let day = day.as_millisecond() / DAY_MS;
+        if folder.join(FILE).exists() {
+            found.push(Partition { site: site.to_owned(), day });
+        }
+    }
     Ok(found)
 }
 

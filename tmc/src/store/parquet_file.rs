@@ -6,6 +6,8 @@
 use super::Row;
 use crate::failure::Failure;
 use crate::whole;
+use datafusion::arrow::datatypes::Schema;
+use parquet::arrow::parquet_to_arrow_schema;
 use parquet::basic::{Compression, Encoding};
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_typed_column_reader};
 use parquet::data_type::{BoolType, DataType, FloatType, Int32Type, Int64Type};
@@ -14,7 +16,7 @@ use parquet::file::properties::{EnabledStatistics, WriterProperties, WriterVersi
 use parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::parser::parse_message_type;
-use parquet::schema::types::ColumnPath;
+use parquet::schema::types::{ColumnPath, SchemaDescriptor};
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
@@ -30,13 +32,13 @@ const SCHEMA: &str = "message density {
 }";
 /// Columns of the schema, in its order.
 const COLUMNS: usize = 16;
-/// Columns that a report reads.
-const WINDOW: usize = 0;
-const FROM: usize = 1;
-const LANE: usize = 2;
-const POSITION: usize = 4;
-const LENGTH: usize = 5;
-const DENSITY: usize = 6;
+
+/// The columns as the query engine knows them.
+pub fn arrow_schema() -> Schema {
+    let columns = parse_message_type(SCHEMA).expect("the schema is well-formed");
+    parquet_to_arrow_schema(&SchemaDescriptor::new(Arc::new(columns)), None)
+        .expect("each of its types has one in Arrow")
+}
 
 /// Writes rows, sorted by their keys, whole or not at all.
 ///
@@ -143,13 +145,13 @@ pub fn read(path: &Path) -> Result<Vec<Row>, Failure> {
 
 fn group_rows(group: &dyn RowGroupReader) -> Result<Vec<Row>, ParquetError> {
     let column = |index: usize| group.get_column_reader(index);
-    let window_s = all::<Int32Type>(column(WINDOW)?)?;
-    let from = all::<Int64Type>(column(FROM)?)?;
-    let lane = all::<Int32Type>(column(LANE)?)?;
+    let window_s = all::<Int32Type>(column(0)?)?;
+    let from = all::<Int64Type>(column(1)?)?;
+    let lane = all::<Int32Type>(column(2)?)?;
     let cell = known::<Int32Type>(column(3)?)?;
-    let position = known::<FloatType>(column(POSITION)?)?;
-    let length = all::<FloatType>(column(LENGTH)?)?;
-    let density = known::<FloatType>(column(DENSITY)?)?;
+    let position = known::<FloatType>(column(4)?)?;
+    let length = all::<FloatType>(column(5)?)?;
+    let density = known::<FloatType>(column(6)?)?;
     let se = known::<FloatType>(column(7)?)?;
     let vehicles = known::<FloatType>(column(8)?)?;
     let occupancy = known::<FloatType>(column(9)?)?;
@@ -198,59 +200,6 @@ fn known<T: DataType>(column: ColumnReader) -> Result<Vec<Option<T::T>>, Parquet
     Ok(levels.iter().map(|&level| if level > 0 { values.next() } else { None }).collect())
 }
 
-/// What a report needs of a row group, column by column.
-#[derive(Debug, Default)]
-pub struct Columns {
-    /// Length of the window, s.
-    pub window_s: Vec<i32>,
-    /// Its beginning, ms since 1970.
-    pub from_ms: Vec<i64>,
-    /// Lane.
-    pub lane: Vec<i32>,
-    /// Where the cell begins, m; NaN for a whole lane.
-    pub position_m: Vec<f32>,
-    /// Length of lane or cell, m.
-    pub length_m: Vec<f32>,
-    /// Density, veh/km; NaN where it is not known.
-    pub density: Vec<f32>,
-}
-
-/// Calls `take` with the columns of the lanes, then with those of the cells if there are any.
-///
-/// # Errors
-/// [`Failure`] where the file is not there or damaged.
-pub fn read_lanes(path: &Path, mut take: impl FnMut(&Columns)) -> Result<(), Failure> {
-    let reader = open(path)?;
-    for index in 0..reader.num_row_groups() {
-        let columns = reader.get_row_group(index).and_then(|group| {
-            let column = |index: usize| group.get_column_reader(index);
-            let window_s = all::<Int32Type>(column(WINDOW)?)?;
-            // Lanes stand in the first group; their position is always null.
-            let lanes = index == 0;
-            let (position_m, length_m) = if lanes {
-                (vec![f32::NAN; window_s.len()], Vec::new())
-            } else {
-                let position = floats(known::<FloatType>(column(POSITION)?)?);
-                (position, all::<FloatType>(column(LENGTH)?)?)
-            };
-            Ok(Columns {
-                window_s,
-                from_ms: all::<Int64Type>(column(FROM)?)?,
-                lane: all::<Int32Type>(column(LANE)?)?,
-                position_m,
-                length_m,
-                density: floats(known::<FloatType>(column(DENSITY)?)?),
-            })
-        });
-        take(&columns.map_err(|error| damaged(path, &error))?);
-    }
-    Ok(())
-}
-
-fn floats(values: Vec<Option<f32>>) -> Vec<f32> {
-    values.into_iter().map(|value| value.unwrap_or(f32::NAN)).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -290,14 +239,6 @@ mod tests {
         rows.sort_by_key(Row::key);
         write(&path, &rows).unwrap();
         assert_eq!(read(&path).unwrap(), rows);
-        let mut sizes = Vec::new();
-        read_lanes(&path, |columns| {
-            sizes.push((columns.from_ms.len(), columns.length_m.len()));
-            let unknown = columns.density.iter().filter(|density| density.is_nan()).count();
-            assert_eq!(unknown, columns.lane.iter().filter(|lane| **lane == 2).count());
-        })
-        .unwrap();
-        assert_eq!(sizes, [(1000, 0), (1000, 1000)]);
     }
 
     #[test]

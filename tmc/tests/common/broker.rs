@@ -23,6 +23,17 @@ impl Drop for Mosquitto {
 
 /// Starts mosquitto on a free port, or says that it is not installed.
 pub fn mosquitto() -> Option<Mosquitto> {
+    mosquitto_with("")
+}
+
+/// A port of this machine that is free now.
+pub fn free_port() -> u16 {
+    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
+    free.local_addr().expect("an address").port()
+}
+
+/// Starts mosquitto with more lines in its configuration.
+pub fn mosquitto_with(lines: &str) -> Option<Mosquitto> {
     let program = ["/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto", "/usr/bin/mosquitto"]
         .into_iter()
         .find(|path| std::path::Path::new(path).exists());
@@ -31,12 +42,10 @@ pub fn mosquitto() -> Option<Mosquitto> {
         return None;
     };
     let folder = tempfile::tempdir().expect("a folder");
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
-    let port = free.local_addr().expect("an address").port();
-    drop(free);
+    let port = free_port();
     let config = folder.path().join("mosquitto.conf");
     let text = format!(
-        "listener {port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\npersistence false\n"
+        "listener {port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\npersistence false\n{lines}"
     );
     std::fs::write(&config, text).expect("writing a file");
     let child = Command::new(program)

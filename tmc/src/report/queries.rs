@@ -1,0 +1,85 @@
+//! The questions that a report asks of the archive, in SQL.
+//!
+//! Written once, and the same for one machine and for a cluster (`engine`). What comes back is
+//! sums and counts: their number grows with lanes, cells, bins and days, not with windows.
+
+use crate::store::{self, DAY_MS};
+
+/// The archive's name in the questions.
+pub(super) const TABLE: &str = "density";
+/// Bins of a day: 15 minutes, as the paper's figures have it.
+pub const BINS: usize = 96;
+/// Lanes are numbered 1 to 8.
+pub const LANES: usize = 8;
+const BIN_MS: i64 = DAY_MS / BINS as i64;
+/// 1970-01-01 was a Thursday; Monday is 0.
+const EPOCH_WEEKDAY: i64 = 3;
+/// Added to times, so that those before 1970 are not negative and `/` rounds down: whole weeks.
+const PAST_MS: i64 = 7 * DAY_MS * 5000;
+
+/// What a report is about.
+#[derive(Clone, Debug)]
+pub(super) struct Scope {
+    /// Which site.
+    pub site: String,
+    /// First and last day, since 1970, UTC.
+    pub days: [i64; 2],
+    /// Length of the windows, s; none: all of them.
+    pub window_s: Option<i32>,
+    /// Local time ahead of UTC.
+    pub offset_ms: i64,
+}
+
+impl Scope {
+    /// Condition on site, days, lanes and windows. The first two are folders, so that no other
+    /// file is opened; names of sites are letters, digits and a few signs (`crate::message`).
+    fn condition(&self) -> String {
+        let [first, last] = self.days.map(store::date);
+        let site = self.site.replace('\'', "''");
+        let window = self.window_s.map_or(String::new(), |s| format!(" AND window_s = {s}"));
+        format!(
+            "site = '{site}' AND date BETWEEN '{first}' AND '{last}' \
+             AND lane BETWEEN 1 AND {LANES}{window}"
+        )
+    }
+
+    /// A row's local time, ms, from a Monday's beginning.
+    fn local(&self) -> String {
+        let shift = PAST_MS + EPOCH_WEEKDAY * DAY_MS + self.offset_ms;
+        format!("CAST(\"from\" AS BIGINT) + {shift}")
+    }
+}
+
+/// Average day by lane, week, completeness: of whole lanes, in one pass.
+///
+/// `weekday` and `bin` are null in the sums by `day`, and `day` in those by time.
+pub(super) fn lanes(scope: &Scope) -> String {
+    let (condition, local) = (scope.condition(), scope.local());
+    format!(
+        "SELECT window_s, lane, weekday, bin, day,
+            count(*) AS archived, count(density) AS known, sum(density) AS density
+        FROM (
+            SELECT window_s, lane, CAST(density_veh_km AS DOUBLE) AS density,
+                ({local}) / {DAY_MS} % 7 AS weekday, ({local}) % {DAY_MS} / {BIN_MS} AS bin,
+                (CAST(\"from\" AS BIGINT) + {PAST_MS}) / {DAY_MS} - {PAST_MS} / {DAY_MS} AS day
+            FROM {TABLE} WHERE {condition} AND cell IS NULL)
+        GROUP BY GROUPING SETS ((window_s, lane, weekday, bin), (window_s, lane, day))"
+    )
+}
+
+/// Average day by position, and with it the density along the road: of cells.
+///
+/// `first` is the first window that has a density; position and length tell lane tables apart.
+pub(super) fn cells(scope: &Scope) -> String {
+    let (condition, local) = (scope.condition(), scope.local());
+    format!(
+        "SELECT lane, position_m, length_m, bin, count(*) AS archived,
+            count(density) AS known, sum(density) AS density, min(since) AS first
+        FROM (
+            SELECT lane, position_m, length_m, CAST(density_veh_km AS DOUBLE) AS density,
+                ({local}) % {DAY_MS} / {BIN_MS} AS bin,
+                CASE WHEN density_veh_km IS NOT NULL THEN CAST(\"from\" AS BIGINT) END AS since
+            FROM {TABLE} WHERE {condition} AND cell IS NOT NULL)
+        GROUP BY lane, position_m, length_m, bin"
+    )
+}

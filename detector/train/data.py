@@ -5,6 +5,7 @@ day/night rule. Knows nothing about the network or about augmentation.
 """
 
 import glob
+import json
 import os
 import re
 from dataclasses import dataclass, field
@@ -170,6 +171,40 @@ def make(path, label, dataset, group, split, names, far=False, aspect=None):
     true_height = height if aspect is None else round(width * aspect)
     return Picture(path, dataset, group, split, width, height, boxes, classes,
                    is_night(path, dataset, img), true_height, far)
+
+
+# Vehicles of the simulated street that are hidden further are ignored, not taught.
+STREET_HIDDEN = 0.7
+
+
+def load_street(root):
+    """Recordings of `street.py`, all of them for training; `root` holds one folder for each.
+
+    Data set `street`, so that a mix names its share. Vehicles that are mostly hidden come as
+    teacher boxes without certainty: ignored.
+    """
+    found = []
+    for path in sorted(glob.glob(os.path.join(root, "*", "truth.jsonl"))):
+        folder = os.path.dirname(path)
+        with open(path) as file:
+            rows = [json.loads(line) for line in file]
+        for row in rows:
+            if row["picture"] == "live":
+                found.append(street_picture(folder, row))
+    return found
+
+
+def street_picture(folder, row):
+    path = os.path.join(folder, "frames", row["frame"])
+    img = cv2.imread(path)
+    height, width = img.shape[:2]
+    seen = [v for v in row["vehicles"] if v["occlusion"] <= STREET_HIDDEN]
+    hidden = [v for v in row["vehicles"] if v["occlusion"] > STREET_HIDDEN]
+    boxes = np.array([v["box"] for v in seen], np.float32).reshape(-1, 4)
+    kinds = np.array([CLASSES.index(v["class"]) for v in seen], np.int64)
+    doubt = np.array([[*v["box"], 0.2] for v in hidden], np.float32).reshape(-1, 5)
+    return Picture(path, "street", os.path.basename(folder), "train", width, height, boxes, kinds,
+                   is_night(path, "street", img), height, True, doubt)
 
 
 def load_all(root):

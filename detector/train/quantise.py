@@ -6,7 +6,8 @@ channel; biases i32. What follows the last convolutions stays in f32.
 
 Scales: the range that gives the least squared error on calibration pictures. Tensors that
 are only moved about (shuffle, slice, pooling, enlarging) keep the scale of their source, and
-the halves of a shuffle share one, so that moving never rounds.
+the halves of a shuffle share one, so that moving never rounds. Before that the channels of each
+tensor are brought to one reach (`equalise.py`).
 """
 
 import os
@@ -19,6 +20,7 @@ import onnxruntime as ort
 from onnx import helper, numpy_helper
 
 import boxes
+from equalise import equalise
 
 # Values kept of each activation and picture.
 SAMPLES = 4000
@@ -169,6 +171,7 @@ def quantise(source, path, pictures, width, height, double=False):
     """
     model = onnx.load(source)
     graph = model.graph
+    equalise(model, Plan(graph), pictures, width, height)
     plan = Plan(graph)
     values = samples(model, plan, pictures, width, height)
     groups = {}

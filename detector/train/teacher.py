@@ -1,4 +1,6 @@
-"""Boxes of the COCO teacher, once: the whole picture and, if asked, enlarged tiles of it.
+"""Boxes of a teacher, once: the whole picture and, if asked, enlarged tiles of it.
+
+The first teacher is the COCO model; a trained model of ours (`--columns 0,1,2,3,4`) is the next.
 
 They never become truth on test cameras; training uses them where a data set leaves far
 vehicles unlabelled. Writes one pickle: {path: float32 rows x0 y0 x1 y1 score}.
@@ -15,13 +17,13 @@ import onnxruntime as ort
 import boxes
 import data
 
-COCO_VEHICLES = [2, 3, 5, 7]  # car, motorcycle, bus, truck
+COCO_VEHICLES = "2,3,5,7"  # car, motorcycle, bus, truck
 
 
 class Detector:
     """An ONNX detector with a fixed input, run by ONNX Runtime."""
 
-    def __init__(self, path, columns, threads=2):
+    def __init__(self, path, columns, threads=1):
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
         self.session = ort.InferenceSession(path, options, providers=["CPUExecutionProvider"])
@@ -68,12 +70,13 @@ def tiles(detector, img, floor, zoom=1.75):
 def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--data", required=True, help="the folder with sg_lta, atl_v2, ...")
-    args.add_argument("--model", required=True, help="COCO NanoDet-Plus-m, 640x480, ONNX")
+    args.add_argument("--model", required=True, help="NanoDet-Plus-m, 640x480, ONNX")
+    args.add_argument("--columns", default=COCO_VEHICLES, help="score columns that are vehicles")
     args.add_argument("--out", required=True)
     args.add_argument("--floor", type=float, default=0.08)
     args.add_argument("--tiles", action="store_true", help="enlarged tiles too: five times the work")
     args = args.parse_args()
-    detector = Detector(args.model, COCO_VEHICLES)
+    detector = Detector(args.model, [int(c) for c in args.columns.split(",")])
     pictures = [p for p in data.load_all(args.data) if p.split == "train"]
     found, start = {}, time.time()
     for i, p in enumerate(pictures):

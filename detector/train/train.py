@@ -46,8 +46,10 @@ def collate(rows):
     return torch.stack([r[0] for r in rows]), [r[1:] for r in rows]
 
 
-def chances(pictures, mix):
+def chances(pictures, mix, unbalanced=False):
     """How often each picture is drawn. `mix`: lines `dataset day|night share`, else balanced."""
+    if unbalanced:
+        return np.full(len(pictures), 1 / len(pictures))
     cells = {}
     for i, p in enumerate(pictures):
         cells.setdefault((p.dataset, p.night), []).append(i)
@@ -89,9 +91,12 @@ def main():
     args.add_argument("--coco", required=True,
                       help="weights to start from: COCO NanoDet-Plus-m, or a model of ours, ONNX")
     args.add_argument("--out", required=True)
+    args.add_argument("--street", help="recordings made by street.py: simulated, marked as such")
     args.add_argument("--teacher")
     args.add_argument("--mix", help="shares by data set and light, from `verge-detector mix`")
     args.add_argument("--only", help="train on this data set alone")
+    args.add_argument("--unbalanced", action="store_true",
+                      help="every picture as often as every other (the paper's Spaghetti)")
     args.add_argument("--steps", type=int, default=6000)
     args.add_argument("--batch", type=int, default=8)
     args.add_argument("--lr", type=float, default=4e-4)
@@ -108,8 +113,8 @@ def main():
     torch.set_num_threads(args.threads)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     os.makedirs(args.out, exist_ok=True)
-    pictures = [p for p in data.load_all(args.data)
-                if p.split == "train" and args.only in (None, p.dataset)]
+    pictures = data.load_all(args.data) + (data.load_street(args.street) if args.street else [])
+    pictures = [p for p in pictures if p.split == "train" and args.only in (None, p.dataset)]
     if args.teacher:
         with open(args.teacher, "rb") as file:
             found = pickle.load(file)
@@ -133,7 +138,7 @@ def main():
         optimiser.load_state_dict(state["optimiser"])
         started = state.get("started", started)
     grid = torch.from_numpy(geometry.centres(WIDTH, HEIGHT)).to(device)
-    windows = Windows(pictures, chances(pictures, read_mix(args.mix)), args.seed,
+    windows = Windows(pictures, chances(pictures, read_mix(args.mix), args.unbalanced), args.seed,
                       step * args.batch, (args.steps - step) * args.batch)
     loader = torch.utils.data.DataLoader(windows, args.batch, num_workers=1, collate_fn=collate,
                                          prefetch_factor=4)

@@ -6,18 +6,20 @@
 //!
 //! As EPnP, with the depth of each control point divided by the focal length among the
 //! unknowns; the distances between control points then fix the scale and the focal length.
-//! Implemented for one and two null vectors (N = 1, 2), where the products of the unknowns
-//! are linear; the paper's exhaustive linearisation for N = 3 is not, its third null vector
-//! enters in the Gauss-Newton step only. Needs at least 6 points that are not in a plane.
+//! Closed forms for one, two and three null vectors (N = 1, 2, 3) are in `exhaustive`. Needs
+//! at least 6 points that are not in a plane.
+
+mod exhaustive;
 
 use crate::camera::{Lens, Pose};
 use crate::epnp::{ControlPoints, kernel, mean_error_px, pairs_of, rigid_transform};
 use crate::vehicle::Pair;
 use nalgebra::{DMatrix, DVector, Vector3};
+use std::ops::RangeInclusive;
 
 /// Fewest points: 12 equations for the 12 unknowns of the control points.
 pub const MIN_POINTS: usize = 6;
-/// Null vectors that the Gauss-Newton step combines.
+/// Null vectors that are combined at most.
 const VECTORS: usize = 3;
 const STEPS: usize = 20;
 
@@ -39,24 +41,36 @@ pub fn solve(pairs: &[Pair], centre: &Lens, gauss_newton: bool) -> Option<Soluti
     if pairs.len() < MIN_POINTS {
         return None;
     }
+    solve_with(pairs, centre, gauss_newton, 1..=VECTORS)
+}
+
+/// The same from these numbers of null vectors.
+fn solve_with(
+    pairs: &[Pair],
+    centre: &Lens,
+    gauss_newton: bool,
+    vectors_used: RangeInclusive<usize>,
+) -> Option<Solution> {
     let control = ControlPoints::of(pairs).filter(|c| c.points.len() == 4)?;
     let alphas: Vec<DVector<f64>> = pairs.iter().map(|p| control.barycentric(&p.world)).collect();
     let vectors = kernel(pairs, &alphas, centre, 4);
     let edges = Edges::of(&vectors, control.squared_distances());
-    let mut best: Option<Solution> = None;
-    for n in 1..=2 {
-        let Some(mut unknowns) = edges.linear(n) else { continue };
+    let camera_of = |u: &Unknowns| {
+        reconstruct(pairs, centre, &alphas, &vectors, u).map(|solution| (*u, solution))
+    };
+    let least_error = |all: Vec<(Unknowns, Solution)>| {
+        all.into_iter().min_by(|a, b| a.1.error_px.total_cmp(&b.1.error_px))
+    };
+    let of_each = vectors_used.filter_map(|n| {
+        let readings = exhaustive::solve(&edges.by_vector, &edges.squared, n);
+        let (unknowns, solution) = least_error(readings.iter().filter_map(camera_of).collect())?;
         if gauss_newton {
-            unknowns = edges.gauss_newton(unknowns);
+            camera_of(&edges.gauss_newton(unknowns))
+        } else {
+            Some((unknowns, solution))
         }
-        let found = reconstruct(pairs, centre, &alphas, &vectors, &unknowns);
-        if let Some(found) = found
-            && best.is_none_or(|b| found.error_px < b.error_px)
-        {
-            best = Some(found);
-        }
-    }
-    best
+    });
+    least_error(of_each.collect()).map(|(_, solution)| solution)
 }
 
 /// Factors of the null vectors, and the focal length in units of the given lens.
@@ -79,33 +93,6 @@ impl Edges {
             .map(|v| pairs_of(4).map(|(i, j)| v[i] - v[j]).collect())
             .collect();
         Edges { by_vector, squared }
-    }
-
-    /// Linear in the products of the betas, without and with the squared focal length.
-    fn linear(&self, n: usize) -> Option<Unknowns> {
-        let products: &[(usize, usize)] =
-            if n == 1 { &[(0, 0)] } else { &[(0, 0), (0, 1), (1, 1)] };
-        let k = products.len();
-        let mut l = DMatrix::zeros(6, 2 * k);
-        for row in 0..6 {
-            for (column, &(a, b)) in products.iter().enumerate() {
-                let (p, q) = (self.by_vector[a][row], self.by_vector[b][row]);
-                let twice = if a == b { 1.0 } else { 2.0 };
-                l[(row, column)] = twice * (p.x * q.x + p.y * q.y);
-                l[(row, k + column)] = twice * p.z * q.z;
-            }
-        }
-        let rho = DVector::from_column_slice(&self.squared);
-        let x = l.svd(true, true).solve(&rho, 1e-14).ok()?;
-        // The ratio that all products share, by least squares.
-        let plain = x.rows(0, k);
-        let ratio = plain.dot(&x.rows(k, k)) / plain.norm_squared();
-        if !ratio.is_finite() || ratio <= 0.0 || x[0] <= 0.0 {
-            return None;
-        }
-        let first = x[0].sqrt();
-        let second = if n == 2 { x[1] / first } else { 0.0 };
-        Some(Unknowns { betas: [first, second, 0.0], focal: ratio.sqrt() })
     }
 
     fn gauss_newton(&self, mut now: Unknowns) -> Unknowns {
@@ -171,29 +158,52 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
+    fn scene(rng: &mut ChaCha8Rng, centre: &Lens, f: f64, count: usize) -> (Vec<Pair>, Pose) {
+        let lens = Lens { f, ..*centre };
+        let mut random = |s: f64| rng.random_range(-s..s);
+        let pose = Pose::from_vectors(
+            Vector3::new(random(1.0), random(1.0), random(1.0)),
+            Vector3::new(random(0.5), random(0.5), 6.0),
+        );
+        let pairs = (0..count)
+            .map(|_| Vector3::new(random(2.0), random(2.0), random(2.0)))
+            .map(|world| Pair { world, image: lens.project(&pose.transform(&world)).unwrap() })
+            .collect();
+        (pairs, pose)
+    }
+
+    const CENTRE: Lens = Lens { f: 640.0, centre: Vector2::new(320.0, 240.0), k1: 0.0 };
+
     #[test]
     fn exact_points_with_depth_give_focal_length_and_pose() {
         let mut rng = ChaCha8Rng::seed_from_u64(2013);
-        let centre = Lens { f: 640.0, centre: Vector2::new(320.0, 240.0), k1: 0.0 };
         for f in [400.0, 640.0, 1200.0] {
             for _ in 0..10 {
-                let lens = Lens { f, ..centre };
-                let mut random = |s: f64| rng.random_range(-s..s);
-                let pose = Pose::from_vectors(
-                    Vector3::new(random(1.0), random(1.0), random(1.0)),
-                    Vector3::new(random(0.5), random(0.5), 6.0),
-                );
-                let pairs: Vec<Pair> = (0..10)
-                    .map(|_| Vector3::new(random(2.0), random(2.0), random(2.0)))
-                    .map(|world| {
-                        let image = lens.project(&pose.transform(&world)).unwrap();
-                        Pair { world, image }
-                    })
-                    .collect();
+                let (pairs, pose) = scene(&mut rng, &CENTRE, f, 10);
                 for gauss_newton in [false, true] {
-                    let found = solve(&pairs, &centre, gauss_newton).unwrap();
+                    let found = solve(&pairs, &CENTRE, gauss_newton).unwrap();
                     assert!((found.lens.f / f - 1.0).abs() < 1e-4, "{f}: {found:?}");
                     assert!((found.pose.translation - pose.translation).norm() < 1e-3);
+                }
+                for n in 1..=VECTORS {
+                    let found = solve_with(&pairs, &CENTRE, false, n..=n).unwrap();
+                    assert!((found.lens.f / f - 1.0).abs() < 1e-3, "{n} vectors, {f}: {found:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn five_points_leave_two_null_vectors_which_both_larger_cases_solve() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        for f in [400.0, 640.0, 1200.0] {
+            for trial in 0..10 {
+                let (pairs, pose) = scene(&mut rng, &CENTRE, f, 5);
+                for n in 2..=VECTORS {
+                    let found = solve_with(&pairs, &CENTRE, false, n..=n).unwrap();
+                    let place = format!("{n} vectors, {f}, {trial}: {found:?}");
+                    assert!((found.lens.f / f - 1.0).abs() < 1e-3, "{place}");
+                    assert!((found.pose.translation - pose.translation).norm() < 1e-2, "{place}");
                 }
             }
         }

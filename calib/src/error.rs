@@ -75,6 +75,16 @@ pub enum Error {
         /// What is wrong with it and what to do.
         problem: String,
     },
+    /// The body stated for a vehicle is not usable: unknown, or one of several.
+    #[error("{vehicle}, flag '{flag}': {problem}")]
+    Body {
+        /// The vehicle, by file name or group.
+        vehicle: String,
+        /// The flag as written.
+        flag: String,
+        /// What is wrong with it and what to do.
+        problem: String,
+    },
     /// A vehicle has too few key points for a pose.
     #[error("{vehicle}: {actual} key points, at least {required} are needed; label more of them")]
     TooFewPoints {

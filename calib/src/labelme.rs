@@ -3,11 +3,12 @@
 //! Owns reading and the first checks of the files. Does not own what the shapes mean
 //! to a solver, nor whether a vehicle can be posed (see `validation`).
 
+use crate::bodies::Body;
 use crate::error::{Error, Result};
 use crate::vehicle::{KEY_POINT_COUNT, KeyPoint, Vehicle};
 use nalgebra::Vector2;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// One labelme file, as far as it is used here.
@@ -20,6 +21,9 @@ pub struct LabelFile {
     pub image_height: u32,
     /// The shapes, in file order.
     pub shapes: Vec<Shape>,
+    /// Marks on the whole picture: the body of its vehicles, such as `van`.
+    #[serde(default)]
+    pub flags: BTreeMap<String, bool>,
 }
 
 /// One labelme shape.
@@ -35,7 +39,8 @@ pub struct Shape {
     /// Which shapes belong together, for several vehicles in one file.
     #[serde(default)]
     pub group_id: Option<i64>,
-    /// Marks set by the person who labelled, such as `toward`.
+    /// Marks set by the person who labelled, such as `toward` on a lane or `van` on a
+    /// vehicle's point.
     #[serde(default)]
     pub flags: BTreeMap<String, bool>,
 }
@@ -54,21 +59,27 @@ impl LabelFile {
         [self.image_width, self.image_height]
     }
 
-    /// The vehicles of this file: its point shapes, grouped by `group_id`.
+    /// The vehicles of this file: its point shapes, grouped by `group_id`. A flag on one of
+    /// a vehicle's points states its body, else a flag of the file, else it is a car.
     pub fn vehicles(&self, stem: &str) -> Result<Vec<Vehicle>> {
         let mut groups: BTreeMap<Option<i64>, Vec<KeyPoint>> = BTreeMap::new();
+        let mut flags: BTreeMap<Option<i64>, BTreeSet<&str>> = BTreeMap::new();
         for shape in self.shapes.iter().filter(|s| matches!(s.shape_type.as_str(), "point" | "")) {
             let points = groups.entry(shape.group_id).or_default();
             let vehicle = vehicle_name(stem, shape.group_id);
             points.push(key_point(&vehicle, shape, self.image_size(), points)?);
+            flags.entry(shape.group_id).or_default().extend(set(&shape.flags));
         }
-        Ok(groups
+        let of_file: BTreeSet<&str> = set(&self.flags).collect();
+        groups
             .into_iter()
             .map(|(group, mut points)| {
                 points.sort_by_key(|p| p.label);
-                Vehicle { name: vehicle_name(stem, group), points }
+                let name = vehicle_name(stem, group);
+                let own = flags.get(&group).filter(|f| !f.is_empty()).unwrap_or(&of_file);
+                Ok(Vehicle { body: body(&name, own)?, name, points })
             })
-            .collect())
+            .collect()
     }
 
     /// Pairs of open lines that run side by side: the first with the second, the third with
@@ -117,6 +128,31 @@ const MIN_LINE_POINTS: usize = 3;
 
 fn vehicle_name(stem: &str, group: Option<i64>) -> String {
     group.map_or_else(|| stem.to_owned(), |g| format!("{stem}#{g}"))
+}
+
+/// The names of the flags that are set.
+fn set(flags: &BTreeMap<String, bool>) -> impl Iterator<Item = &str> {
+    flags.iter().filter(|(_, on)| **on).map(|(name, _)| name.as_str())
+}
+
+fn body(vehicle: &str, flags: &BTreeSet<&str>) -> Result<Body> {
+    let wrong = |flag: &str, problem: String| Error::Body {
+        vehicle: vehicle.to_owned(),
+        flag: flag.to_owned(),
+        problem,
+    };
+    let known = || Body::ALL.map(Body::name).join(", ");
+    let mut bodies = flags.iter().map(|flag| {
+        Body::of_name(flag)
+            .ok_or_else(|| wrong(flag, format!("not a kind of vehicle; known are {}", known())))
+    });
+    let first = bodies.next().transpose()?.unwrap_or_default();
+    match bodies.next().transpose()? {
+        None => Ok(first),
+        Some(second) => {
+            Err(wrong(second.name(), format!("it is flagged as a {} too", first.name())))
+        }
+    }
 }
 
 /// How far outside the picture a label may lie, px: a corner hidden by the border.
@@ -216,6 +252,30 @@ mod tests {
         let v = f.vehicles("frame").unwrap();
         assert_eq!(v.iter().map(|v| v.name.as_str()).collect::<Vec<_>>(), ["frame#1", "frame#2"]);
         assert_eq!(v[0].points[0], KeyPoint { label: 1, uv: Vector2::new(1.0, 2.0) });
+    }
+
+    #[test]
+    fn flags_state_the_body_of_a_point_before_that_of_the_file() {
+        let points = |flags: &str| {
+            file(&format!(
+                r#"{{"label":"1","points":[[1,2]],"group_id":1,"flags":{{{flags}}}}},
+                   {{"label":"2","points":[[3,4]],"group_id":1,"flags":{{}}}},
+                   {{"label":"1","points":[[5,6]],"group_id":2}}"#
+            ))
+        };
+        let bodies = |f: &LabelFile| -> Vec<Body> {
+            f.vehicles("frame").unwrap().iter().map(|v| v.body).collect()
+        };
+        assert_eq!(bodies(&points("")), [Body::Car; 2]);
+        let mut f = points(r#""van":true,"taxi":false"#);
+        assert_eq!(bodies(&f), [Body::Van, Body::Car]);
+        f.flags.insert("taxi".into(), true);
+        assert_eq!(bodies(&f), [Body::Van, Body::Taxi]);
+        let message = points(r#""lorry":true"#).vehicles("frame").unwrap_err().to_string();
+        assert!(message.contains("frame#1") && message.contains("'lorry'"), "{message}");
+        assert!(message.contains("car, taxi, van, minibus"), "{message}");
+        let both = points(r#""van":true,"taxi":true"#).vehicles("frame").unwrap_err().to_string();
+        assert!(both.contains("'van'") && both.contains("taxi too"), "{both}");
     }
 
     #[test]

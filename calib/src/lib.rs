@@ -14,6 +14,7 @@
 //! own the table's format (the core crate's `lane` module does) nor anything that runs
 //! beside the camera.
 
+pub mod bodies;
 pub mod calibration;
 pub mod camera;
 pub mod candidates;

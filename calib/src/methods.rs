@@ -3,6 +3,7 @@
 //! Owns the list of methods and how the single-vehicle ones pick their camera. Does not own
 //! any solver.
 
+use crate::bodies::Body;
 use crate::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
 use crate::camera::{Camera, Pose};
 use crate::error::{Error, Result};
@@ -120,6 +121,9 @@ pub fn calibrate(
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Calibration> {
     let start = Instant::now();
+    if options.method != Method::Joint {
+        only_cars(problem, options.method)?;
+    }
     let mut calibration = match options.method {
         Method::Joint => of_joint(problem, options, progress)?,
         Method::Upnp => of_single(problem, options, upnp::solve, false)?,
@@ -131,6 +135,19 @@ pub fn calibrate(
     calibration.seed = options.seed;
     calibration.wall_time_s = start.elapsed().as_secs_f64();
     Ok(calibration)
+}
+
+/// The paper knows cars only, and a van taken for a car is a wrong scale.
+fn only_cars(problem: &Problem, method: Method) -> Result<()> {
+    match problem.vehicles.iter().find(|v| v.body != Body::Car) {
+        None => Ok(()),
+        Some(v) => Err(Error::Usage(format!(
+            "{} is a {}; --method {} knows cars only: leave its file out, or use joint",
+            v.name,
+            v.body.name(),
+            method.name(),
+        ))),
+    }
 }
 
 fn of_joint(

@@ -64,6 +64,7 @@ mod tests {
         let shifts: FrameShifts =
             serde_json::from_str(r#"{"shifts":{"a.jpg":[1.0,-2.0]}}"#).unwrap();
         let vehicle = |name: &str| Vehicle {
+            body: Default::default(),
             name: name.into(),
             points: vec![KeyPoint { label: 1, uv: Vector2::new(10.0, 20.0) }],
         };

@@ -75,8 +75,8 @@ pub struct Placed {
 /// Puts each vehicle's best model on the road; vehicles above the horizon are left out.
 pub fn place(camera: &Camera, vehicles: &[Vehicle], models: &[VehicleModel]) -> Vec<Placed> {
     let fits = |vehicle: &Vehicle| {
-        models
-            .iter()
+        let own = vehicle.body.model().map_or(models, std::slice::from_ref);
+        own.iter()
             .filter_map(|model| place_model(camera, vehicle, model))
             .min_by(|a, b| a.rms_px.total_cmp(&b.rms_px))
     };

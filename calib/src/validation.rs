@@ -28,6 +28,7 @@ pub fn check_vehicle(vehicle: &Vehicle, models: &[VehicleModel]) -> Result<()> {
     if vehicle.points.len() < MIN_POINTS {
         return Err(too_few(vehicle.points.len()));
     }
+    let models = vehicle.body.model().map_or(models, std::slice::from_ref);
     let best = models.iter().map(|m| m.pairs(vehicle).len()).max().unwrap_or(0);
     if best < MIN_POINTS {
         return Err(too_few(best));
@@ -124,7 +125,7 @@ mod tests {
             (7, 193.3, 181.6),
         ];
         let points = points.map(|(label, u, v)| KeyPoint { label, uv: Vector2::new(u, v) });
-        Vehicle { name: "vehicle_07".into(), points: points.to_vec() }
+        Vehicle { name: "vehicle_07".into(), body: Default::default(), points: points.to_vec() }
     }
 
     fn swap(vehicle: &mut Vehicle, a: usize, b: usize) {

@@ -3,6 +3,7 @@
 //! Owns key points, observed vehicles, vehicle models and the pairs made from both.
 //! Does not own reading labels (see `labelme`) nor judging them (see `validation`).
 
+use crate::bodies::Body;
 use crate::error::{Error, Result};
 use nalgebra::{Vector2, Vector3};
 use std::collections::BTreeMap;
@@ -43,6 +44,8 @@ pub struct KeyPoint {
 pub struct Vehicle {
     /// Name for messages: the file's stem, with `#group` when a file holds several.
     pub name: String,
+    /// What kind of vehicle it is.
+    pub body: Body,
     /// The key points that are visible, by rising label.
     pub points: Vec<KeyPoint>,
 }

@@ -157,6 +157,26 @@ fn bad_labels_name_the_vehicle_and_the_point() {
 }
 
 #[test]
+fn a_flag_states_the_body_which_only_joint_knows() {
+    let flagged = |flag: &str| {
+        let folder = Folder::new(&format!("body-{flag}"));
+        let with = format!(r#"{{ "flags": {{"{flag}": true}}, "#);
+        let labels = one_vehicle(&folder, |s| s.replacen('{', &with, 1));
+        let code_and_message = |method| {
+            let out = calibrate(&labels, &folder.join("k.json"), &["--method", method]);
+            (out.status.code().unwrap(), stderr(&out))
+        };
+        ["joint", "mvcalib"].map(code_and_message)
+    };
+    for (code, message) in flagged("lorry") {
+        assert!(code == 65 && message.contains("vehicle_07, flag 'lorry'"), "{code}: {message}");
+    }
+    let [joint, mvcalib] = flagged("taxi");
+    assert_eq!(joint.0, 0, "{}", joint.1);
+    assert!(mvcalib.0 == 64 && mvcalib.1.contains("vehicle_07 is a taxi"), "{mvcalib:?}");
+}
+
+#[test]
 fn one_vehicle_is_not_trusted_and_its_table_is_refused_unless_forced() {
     for method in ["joint", "mvcalib"] {
         let folder = Folder::new(&format!("one-{method}"));

@@ -59,7 +59,11 @@ fn objective(problem: &Problem, settings: &Settings, shape: &ShapePrior) -> Obje
     let sd_px = FIRST_LABEL_SD_WIDTHS * width;
     Objective {
         image_size: problem.image_size,
-        observed: problem.vehicles.iter().map(|v| Observed::of(v, shape.clone(), sd_px)).collect(),
+        observed: problem
+            .vehicles
+            .iter()
+            .map(|v| Observed::of(v, ShapePrior::of_vehicle(v, shape), sd_px))
+            .collect(),
         prior: prior(width, settings),
         shift_sd_px: settings.sway_px.max(MIN_SWAY_PX),
         // The cues join later: their noise needs a camera that sees them.
@@ -74,6 +78,8 @@ const MIN_SWAY_PX: f64 = 1e-3;
 /// The best of the starts, fitted to the key points alone, and the steps it took.
 pub fn best_start(problem: &Problem, settings: &Settings) -> Result<(Estimate, usize)> {
     let shape = ShapePrior::of_models(&problem.models, UNKNOWN_CARS);
+    let shapes: Vec<ShapePrior> =
+        problem.vehicles.iter().map(|v| ShapePrior::of_vehicle(v, &shape)).collect();
     let objective = objective(problem, settings, &shape);
     let width = problem.width_px();
     let focal_lengths: Vec<f64> =
@@ -82,7 +88,7 @@ pub fn best_start(problem: &Problem, settings: &Settings) -> Result<(Estimate, u
         .par_iter()
         .filter_map(|&f| {
             let size = problem.image_size;
-            let (camera, vehicles) = start::at_focal_length(f, size, &problem.vehicles, &shape)?;
+            let (camera, vehicles) = start::at_focal_length(f, size, &problem.vehicles, &shapes)?;
             objective.minimise(camera, vehicles, START_STEPS)
         })
         .collect();

@@ -11,6 +11,7 @@ use super::residuals::Observed;
 use super::scene::{CAMERA, CameraState, CameraStep, VehicleState};
 use super::shape::{Coefficients, ShapePrior, Spread};
 use super::solver::{CameraInformation, Estimate, Objective};
+use crate::bodies::Body;
 use crate::problem::Problem;
 use crate::vehicle::Vehicle;
 use nalgebra::{Cholesky, Const};
@@ -62,7 +63,10 @@ impl Lineup {
         let shapes: Vec<ShapePrior> =
             problem.models.chunks(1).map(|m| ShapePrior::of_models(m, spread)).collect();
         let under = |v: &Vehicle| -> Option<Vec<Observed>> {
-            let all: Vec<_> = shapes.iter().map(|s| Observed::of(v, s.clone(), 1.0)).collect();
+            // A van is a van, whichever model the cars are.
+            let shapes = if v.body == Body::Car { &shapes[..] } else { &shapes[..1] };
+            let as_one = |s| Observed::of(v, ShapePrior::of_vehicle(v, s), 1.0);
+            let all: Vec<_> = shapes.iter().map(as_one).collect();
             all.iter().all(|o| o.points.len() == v.points.len()).then_some(all)
         };
         let alternatives = problem.vehicles.iter().map(under).collect::<Option<_>>()?;

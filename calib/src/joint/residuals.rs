@@ -4,7 +4,7 @@
 //! not own the road cues (see `cues`) nor the solver.
 
 use super::scene::{CAMERA, CameraState, CameraStep, FLEET_AT, VEHICLE, VehicleState, VehicleStep};
-use super::shape::{FLEET, MODES, ShapePrior};
+use super::shape::{Coefficients, FLEET, MODES, ShapePrior};
 use crate::camera::Lens;
 use crate::vehicle::Vehicle;
 use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
@@ -66,6 +66,10 @@ impl Observed {
         self.sd_px.iter().map(|sd| 2.0 * sd.ln()).sum()
     }
 
+    fn coefficients(&self, camera: &CameraState, vehicle: &VehicleState) -> Coefficients {
+        if self.shape.in_fleet { camera.shape_of(vehicle) } else { vehicle.shape }
+    }
+
     /// Cost of the vehicle: robust key-point terms and priors. `None` when a key point is
     /// behind the camera.
     pub fn cost(
@@ -78,7 +82,7 @@ impl Observed {
         let view = camera.camera(image_size);
         let turn = turn(vehicle.yaw);
         let off_road = heading_residual(camera, vehicle);
-        let shape = camera.shape_of(vehicle);
+        let shape = self.coefficients(camera, vehicle);
         let mut cost = 0.5 * robust(off_road * off_road).0
             + 0.5 * vehicle.shape.norm_squared()
             + 0.5 * vehicle.shift.norm_squared() / (shift_sd_px * shift_sd_px);
@@ -131,7 +135,7 @@ impl Observed {
         let orientation = camera.orientation();
         let height = camera.height_m();
         let turn = turn(vehicle.yaw);
-        let coefficients = camera.shape_of(vehicle);
+        let coefficients = self.coefficients(camera, vehicle);
         let mut block = Block::of_priors(vehicle, shift_sd_px);
         block.add_heading(camera, vehicle);
         for (&(label, uv), sd) in self.points.iter().zip(&self.sd_px) {
@@ -158,8 +162,10 @@ impl Observed {
             for (k, mode) in self.shape.modes(label).iter().enumerate() {
                 jv.set_column(3 + k, &(by_world * (turn * mode)));
             }
-            let fleet = jv.fixed_columns::<FLEET>(3 + MODES - FLEET).into_owned();
-            jc.fixed_columns_mut::<FLEET>(FLEET_AT).copy_from(&fleet);
+            if self.shape.in_fleet {
+                let fleet = jv.fixed_columns::<FLEET>(3 + MODES - FLEET).into_owned();
+                jc.fixed_columns_mut::<FLEET>(FLEET_AT).copy_from(&fleet);
+            }
             jv[(0, 3 + MODES)] = 1.0;
             jv[(1, 4 + MODES)] = 1.0;
 
@@ -184,7 +190,7 @@ impl Observed {
         vehicle: &VehicleState,
     ) -> Vec<(f64, f64)> {
         let view = camera.camera(image_size);
-        let shape = camera.shape_of(vehicle);
+        let shape = self.coefficients(camera, vehicle);
         let turn = turn(vehicle.yaw);
         self.points
             .iter()

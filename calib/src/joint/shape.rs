@@ -8,7 +8,7 @@
 //! The widths of the scale priors are assumptions about a fleet of passenger cars, stated
 //! here once; the principal components come from the models given.
 
-use crate::vehicle::{KEY_POINT_COUNT, VehicleModel};
+use crate::vehicle::{KEY_POINT_COUNT, Vehicle, VehicleModel};
 use nalgebra::{DMatrix, Vector3};
 
 /// Principal components kept: five models span four.
@@ -33,6 +33,10 @@ pub struct Spread {
 /// Passenger cars that are none of the known models.
 pub const UNKNOWN_CARS: Spread = Spread { scale: 0.045, axis: 0.03, point_m: 0.05 };
 
+/// Vehicles of another body than a car: about one published size that stands for several
+/// makes, with key points that nobody measured.
+pub const OTHER_BODIES: Spread = Spread { scale: 0.08, axis: 0.05, point_m: 0.10 };
+
 impl Spread {
     /// The same fleet, this many times as diverse.
     pub fn times(self, factor: f64) -> Self {
@@ -54,6 +58,8 @@ pub struct ShapePrior {
     modes: [[Vector3<f64>; MODES]; KEY_POINT_COUNT],
     /// Scatter of a single key point, m.
     pub point_sd_m: f64,
+    /// Whether it is one of the fleet of cars, which may differ from the models as a whole.
+    pub in_fleet: bool,
 }
 
 /// Coefficients of the modes in standard deviations.
@@ -79,7 +85,18 @@ impl ShapePrior {
                 modes[label][COMPONENTS + 1 + axis][axis] = point[axis] * spread.axis;
             }
         }
-        ShapePrior { mean, modes, point_sd_m: spread.point_m }
+        ShapePrior { mean, modes, point_sd_m: spread.point_m, in_fleet: true }
+    }
+
+    /// What a vehicle may look like: as the cars given, or as its own body.
+    pub fn of_vehicle(vehicle: &Vehicle, cars: &ShapePrior) -> Self {
+        vehicle.body.model().map_or_else(
+            || cars.clone(),
+            |model| {
+                let own = Self::of_models(std::slice::from_ref(model), OTHER_BODIES);
+                ShapePrior { in_fleet: false, ..own }
+            },
+        )
     }
 
     /// Where the key point with this label is on a car with these coefficients, m.

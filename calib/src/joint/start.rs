@@ -11,7 +11,7 @@ use crate::pose_refinement::{Free, refine};
 use crate::vehicle::{Pair, Vehicle};
 use nalgebra::{Vector2, Vector3};
 
-/// A car whose mean shape misses its points by more than this part of the picture's width
+/// A vehicle whose mean shape misses its points by more than this part of the picture's width
 /// says nothing about the camera.
 const USELESS_WIDTH_FRACTION: f64 = 0.03;
 
@@ -21,13 +21,13 @@ pub fn at_focal_length(
     f: f64,
     image_size: [u32; 2],
     vehicles: &[Vehicle],
-    shape: &ShapePrior,
+    shapes: &[ShapePrior],
 ) -> Option<(CameraState, Vec<VehicleState>)> {
     let lens = Lens::centred(f, image_size);
     let limit = USELESS_WIDTH_FRACTION * f64::from(image_size[0]);
     let mut ups = Vec::new();
     let mut heights = Vec::new();
-    for vehicle in vehicles {
+    for (vehicle, shape) in vehicles.iter().zip(shapes) {
         let pairs: Vec<Pair> = vehicle
             .points
             .iter()
@@ -56,7 +56,7 @@ pub fn at_focal_length(
     let log_height = median(heights).ln();
     let mut camera =
         CameraState { log_f: f.ln(), tilt, roll, log_height, ..CameraState::default() };
-    let states = vehicles.iter().map(|v| on_road(&camera, image_size, v, shape));
+    let states = vehicles.iter().zip(shapes).map(|(v, s)| on_road(&camera, image_size, v, s));
     let states = states.collect::<Option<Vec<_>>>()?;
     // The road's heading: mean of the doubled angles, since traffic may oppose.
     let (sine, cosine) = states

@@ -10,6 +10,7 @@ use datafusion::execution::SessionStateBuilder;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::prelude::{ParquetReadOptions, SessionConfig, SessionContext};
 use std::path::{Path, PathBuf};
+use url::Url;
 
 /// What all queries together may hold; beyond it they go to the disk. A site takes some
 /// megabytes.
@@ -39,7 +40,12 @@ impl Engine {
             // The columns' ranges are of no use to these queries, and reading them at the start
             // opens every file once more.
             .with_collect_statistics(false);
-        let runtime = RuntimeEnvBuilder::new().with_memory_limit(MEMORY_BYTES, 1.0).build_arc();
+        let runtime = RuntimeEnvBuilder::new()
+            .with_memory_limit(MEMORY_BYTES, 1.0)
+            // With a cache of the list of files, each query lists the whole archive when that list
+            // is too long for it; without one, its own site's folder.
+            .with_object_list_cache_limit(0)
+            .build_arc();
         let state = runtime.map(|runtime| {
             SessionStateBuilder::new()
                 .with_config(config)
@@ -64,8 +70,9 @@ impl Engine {
             table_partition_cols: vec![partition("site"), partition("date")],
             ..ParquetReadOptions::default()
         };
-        let path = folder.to_string_lossy();
-        let registered = engine.context.register_parquet(TABLE, path, options).await;
+        // As a URL, for in a path `*`, `?` and `[` would make a pattern.
+        let url = Url::from_directory_path(&folder).expect("a canonical path is absolute");
+        let registered = engine.context.register_parquet(TABLE, url, options).await;
         registered.map_err(|error| engine.failed(&error))?;
         Ok(engine)
     }

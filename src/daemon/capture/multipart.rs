@@ -62,6 +62,8 @@ pub struct Parts<R> {
     reader: R,
     marker: Vec<u8>,
     buffer: Vec<u8>,
+    /// Where each read ends up first: zeroed once and not before every read.
+    chunk: Box<[u8]>,
     /// A boundary may stand at the very front of the buffer.
     may_begin: bool,
 }
@@ -70,7 +72,8 @@ impl<R: Read> Parts<R> {
     /// The parts of `reader` between boundaries named `name`.
     pub fn new(reader: R, name: &str) -> Self {
         let marker = [b"--", name.as_bytes()].concat();
-        Self { reader, marker, buffer: Vec::new(), may_begin: true }
+        let chunk = vec![0; CHUNK].into_boxed_slice();
+        Self { reader, marker, buffer: Vec::new(), chunk, may_begin: true }
     }
 
     /// Puts the next part's body into `part`. A part that is cut off by a boundary is given
@@ -187,13 +190,12 @@ impl<R: Read> Parts<R> {
     }
 
     fn fill(&mut self) -> Result<(), PartError> {
-        let len = self.buffer.len();
-        self.buffer.resize(len + CHUNK, 0);
-        let outcome = self.reader.read(&mut self.buffer[len..]);
-        self.buffer.truncate(len + outcome.as_ref().copied().unwrap_or(0));
-        match outcome {
+        match self.reader.read(&mut self.chunk) {
             Ok(0) => Err(PartError::Ended),
-            Ok(_) => Ok(()),
+            Ok(bytes) => {
+                self.buffer.extend_from_slice(&self.chunk[..bytes]);
+                Ok(())
+            }
             Err(error) => Err(PartError::Broken(error.to_string())),
         }
     }

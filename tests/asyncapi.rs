@@ -5,6 +5,7 @@
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
+use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::time::Duration;
 use verge::daemon::Outlet;
@@ -133,6 +134,26 @@ fn report() -> WindowReport {
     WindowReport { from, to, lanes: [lane].into_iter().collect() }
 }
 
+/// The port of a door to `broker`, and what opens it: until then nobody gets an answer there.
+fn door(broker: u16) -> (u16, impl FnOnce()) {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
+    let port = listener.local_addr().expect("bound").port();
+    let copy = |mut from: TcpStream, mut to: TcpStream| {
+        std::thread::spawn(move || std::io::copy(&mut from, &mut to));
+    };
+    let open = move || {
+        std::thread::spawn(move || {
+            for visitor in listener.incoming().map_while(Result::ok) {
+                let inside = TcpStream::connect(("127.0.0.1", broker)).expect("it listens");
+                let twin = |stream: &TcpStream| stream.try_clone().expect("a second handle");
+                copy(twin(&visitor), twin(&inside));
+                copy(inside, visitor);
+            }
+        });
+    };
+    (port, open)
+}
+
 #[test]
 fn what_is_published_stands_in_the_document() {
     let document = document();
@@ -142,9 +163,11 @@ fn what_is_published_stands_in_the_document() {
     let table = LaneTable::parse(table).expect("a right table");
     let model = ModelRef { name: Name::try_from("test").expect("short"), sha256: [7; 32] };
     let identity = Identity::new("k109f", table.description(), &model);
-    let mut outlet = Outlet::in_memory(MqttSettings::local(port, ROOT), Format::Json, identity);
+    let (door, open) = door(port);
+    let mut outlet = Outlet::in_memory(MqttSettings::local(door, ROOT), Format::Json, identity);
     // Before there is a session, and in one: replayed and live.
     outlet.density(&report(), true);
+    open();
     while outlet.counts().waiting > 0 {
         outlet.tend();
         std::thread::sleep(Duration::from_millis(10));

@@ -128,7 +128,7 @@ fn a_part_that_is_cut_off_is_damage_and_the_next_one_is_whole() {
     let bare = Does::Send([b"rubbish\r\n--frame\r\n\r\n", &whole[..], b"\r\n--frame\r\n"].concat());
     let long = Does::Send(vec![b' '; 100_000]);
     let (url, _) =
-        serve(vec![vec![stream(), truncated, bare, pause(300), part(&whole), long, pause(900)]]);
+        serve(vec![vec![stream(), truncated, bare, pause(300), part(&whole), long, pause(10_000)]]);
     let (mut camera, mut frame) = (camera(&url), Frame::default());
     // The thread may have read the whole part before the cut one was asked for.
     match camera.next(&mut frame) {

@@ -1,11 +1,10 @@
 """An independent reading of a model: NumPy and ONNX Runtime, sharing no code with verge.
 
-usage: reference_detector.py MODEL.onnx FOLDER COLUMNS VEHICLES IOS
+usage: reference_detector.py MODEL.onnx FOLDER COLUMNS VEHICLES
 
 For every PNG in FOLDER prints {"frame": name, "boxes": [[x0, y0, x1, y1, score], ...]}, in
 pixels of the frame, for a NanoDet-Plus model with COLUMNS score columns, of which VEHICLES
-(numbers with commas between) are vehicles. Of two boxes of which one lies in the other by more
-than IOS the better stays. A model whose file name begins with "yolox" is read
+(numbers with commas between) are vehicles. A model whose file name begins with "yolox" is read
 as a YOLOX model.
 """
 
@@ -20,7 +19,7 @@ from PIL import Image
 SCORE, IOU = 0.3, 0.6
 
 
-def main(model, folder, columns, vehicles, ios):
+def main(model, folder, columns, vehicles):
     vehicles = [int(column) for column in vehicles.split(",")]
     yolox = pathlib.Path(model).name.startswith("yolox")
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
@@ -42,7 +41,7 @@ def main(model, folder, columns, vehicles, ios):
             boxes = decode_yolox(output, width, height, vehicles)
         else:
             boxes = decode(output, width, height, int(columns), vehicles)
-        boxes = suppress(boxes, float(ios))
+        boxes = suppress(boxes)
         boxes[:, [0, 2]] = (boxes[:, [0, 2]] - left) / scale
         boxes[:, [1, 3]] = (boxes[:, [1, 3]] - top) / scale
         boxes[:, [0, 2]] = boxes[:, [0, 2]].clip(0, picture.width)
@@ -77,24 +76,22 @@ def decode_yolox(output, width, height, vehicles):
     return np.concatenate([centres - halves, centres + halves, scores[:, None]], 1)
 
 
-def suppress(boxes, ios):
+def suppress(boxes):
     boxes = boxes[boxes[:, 4] >= SCORE]
     boxes = boxes[np.argsort(-boxes[:, 4], kind="stable")]
     kept = []
     for box in boxes:
-        shared = [overlaps(box, better) for better in kept]
-        if all(union <= IOU and smaller <= ios for union, smaller in shared):
+        if all(iou(box, better) <= IOU for better in kept):
             kept.append(box)
     return np.array(kept).reshape(-1, 5)
 
 
-def overlaps(a, b):
-    """Intersection over the union, and over the smaller."""
+def iou(a, b):
     width = min(a[2], b[2]) - max(a[0], b[0])
     height = min(a[3], b[3]) - max(a[1], b[1])
     inner = max(width, 0) * max(height, 0)
     area = lambda box: (box[2] - box[0]) * (box[3] - box[1])
-    return inner / (area(a) + area(b) - inner), inner / min(area(a), area(b))
+    return inner / (area(a) + area(b) - inner)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,16 @@
 """A checkpoint as ONNX: f32, and what ships: fully int8 (QDQ) or with int8 weights only.
 
-    python3 detector/train/export.py --checkpoint last.pt --out DIR --calibrate DATA_OR_LIST
+    python3 detector/train/export.py --checkpoint last.pt --out DIR --calibrate DATA_OR_LIST \
+        --distil DATA_OR_LIST
 
-With `--calibrate` the shipped file is fully int8 (see `quantise.py`). Without it has int8
-weights: symmetric, one scale an output channel, turned back into f32 by Cast and Mul;
-activations stay f32. Also writes the sidecar that the daemon reads.
+With `--calibrate` the shipped file is fully int8 (see `quantise.py`), and with `--distil` it has
+learned to be (see `distil.py`). Without it has int8 weights: symmetric, one scale an output
+channel, turned back into f32 by Cast and Mul; activations stay f32. Also writes the sidecar that
+the daemon reads.
 """
 
 import argparse
+import functools
 import hashlib
 import os
 
@@ -17,6 +20,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 import data
+import distil
 import quantise
 from nanodet import NanoDet, Scores
 
@@ -44,7 +48,6 @@ classes = 5
 [thresholds]
 score = {score}
 iou = {iou}
-ios = {ios}
 """
 
 
@@ -88,23 +91,30 @@ def int8_weights(model):
     return model
 
 
-def calibration(where, count=60, seed=20210320):
-    """Paths in a list, or as many training pictures of the data sets in a folder."""
+def training(where):
+    """Paths in a list, or of all training pictures of the data sets in a folder."""
     if os.path.isfile(where):
         with open(where) as file:
             return [line.strip() for line in file if line.strip()]
-    training = sorted(p.path for p in data.load_all(where) if p.split == "train")
-    return sorted(np.random.default_rng(seed).choice(training, count, replace=False).tolist())
+    return sorted(p.path for p in data.load_all(where) if p.split == "train")
 
 
-def sidecar(path, about, width, height, score, iou, ios):
+def calibration(where, count=60, seed=20210320):
+    """Paths in a list, or as many training pictures of the data sets in a folder."""
+    paths = training(where)
+    if os.path.isfile(where):
+        return paths
+    return sorted(np.random.default_rng(seed).choice(paths, count, replace=False).tolist())
+
+
+def sidecar(path, about, width, height, score, iou):
     with open(path, "rb") as file:
         digest = hashlib.sha256(file.read()).hexdigest()
     names = ["car", "van", "bus", "truck", "motorcycle"]
     classes = "\n".join(f'[[class]]\nindex = {i}\nname = "{n}"\n' for i, n in enumerate(names))
     name = os.path.basename(path)[: -len(".onnx")]
     text = SIDECAR.format(about=about, name=name, digest=digest, width=width, height=height,
-                          classes=classes, score=score, iou=iou, ios=ios)
+                          classes=classes, score=score, iou=iou)
     with open(path[: -len("onnx")] + "toml", "w") as file:
         file.write(text)
 
@@ -118,9 +128,10 @@ def main():
     args.add_argument("--weights", choices=["mean", "net"], default="mean")
     args.add_argument("--calibrate", help="folder of the data sets, or a list of training "
                       "pictures: fully int8")
+    args.add_argument("--distil", metavar="DATA", help="the same: the int8 form then learns from "
+                      "the f32 one on these pictures, which takes minutes")
     args.add_argument("--score", type=float, default=0.35)
     args.add_argument("--iou", type=float, default=0.6)
-    args.add_argument("--ios", type=float, default=0.7, help="intersection over the smaller")
     args = args.parse_args()
     torch.set_num_threads(1)
     state = torch.load(args.checkpoint, map_location="cpu", weights_only=False)
@@ -134,10 +145,13 @@ def main():
         plain = export_f32(net, stem + ".f32.onnx", width, height)
         if args.calibrate:
             pictures = calibration(args.calibrate)
-            quantise.quantise(stem + ".f32.onnx", stem + ".onnx", pictures, width, height)
+            teach = args.distil and functools.partial(
+                distil.distil, pictures=training(args.distil))
+            quantise.quantise(stem + ".f32.onnx", stem + ".onnx", pictures, width, height,
+                              teach=teach)
         else:
             onnx.save(int8_weights(plain), stem + ".onnx")
-        sidecar(stem + ".onnx", about, width, height, args.score, args.iou, args.ios)
+        sidecar(stem + ".onnx", about, width, height, args.score, args.iou)
         print(f"{stem}.onnx {os.path.getsize(stem + '.onnx')} bytes")
 
 

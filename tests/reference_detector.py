@@ -1,11 +1,12 @@
 """An independent reading of a model: NumPy and ONNX Runtime, sharing no code with verge.
 
-usage: reference_detector.py MODEL.onnx FOLDER COLUMNS VEHICLES
+usage: reference_detector.py MODEL.onnx FOLDER COLUMNS VEHICLES IOU IOS
 
 For every PNG in FOLDER prints {"frame": name, "boxes": [[x0, y0, x1, y1, score], ...]}, in
 pixels of the frame, for a NanoDet-Plus model with COLUMNS score columns, of which VEHICLES
-(numbers with commas between) are vehicles. A model whose file name begins with "yolox" is read
-as a YOLOX model.
+(numbers with commas between) are vehicles. Of two boxes the better stays where they overlap by
+more than IOU (over the union) or IOS (over the smaller). A model whose file name begins with
+"yolox" is read as a YOLOX model.
 """
 
 import json
@@ -16,10 +17,10 @@ import numpy as np
 import onnxruntime
 from PIL import Image
 
-SCORE, IOU = 0.3, 0.6
+SCORE = 0.3
 
 
-def main(model, folder, columns, vehicles):
+def main(model, folder, columns, vehicles, iou, ios):
     vehicles = [int(column) for column in vehicles.split(",")]
     yolox = pathlib.Path(model).name.startswith("yolox")
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
@@ -41,7 +42,7 @@ def main(model, folder, columns, vehicles):
             boxes = decode_yolox(output, width, height, vehicles)
         else:
             boxes = decode(output, width, height, int(columns), vehicles)
-        boxes = suppress(boxes)
+        boxes = suppress(boxes, float(iou), float(ios))
         boxes[:, [0, 2]] = (boxes[:, [0, 2]] - left) / scale
         boxes[:, [1, 3]] = (boxes[:, [1, 3]] - top) / scale
         boxes[:, [0, 2]] = boxes[:, [0, 2]].clip(0, picture.width)
@@ -76,22 +77,24 @@ def decode_yolox(output, width, height, vehicles):
     return np.concatenate([centres - halves, centres + halves, scores[:, None]], 1)
 
 
-def suppress(boxes):
+def suppress(boxes, iou, ios):
     boxes = boxes[boxes[:, 4] >= SCORE]
     boxes = boxes[np.argsort(-boxes[:, 4], kind="stable")]
     kept = []
     for box in boxes:
-        if all(iou(box, better) <= IOU for better in kept):
+        shared = [overlaps(box, better) for better in kept]
+        if all(union <= iou and smaller <= ios for union, smaller in shared):
             kept.append(box)
     return np.array(kept).reshape(-1, 5)
 
 
-def iou(a, b):
+def overlaps(a, b):
+    """Intersection over the union, and over the smaller."""
     width = min(a[2], b[2]) - max(a[0], b[0])
     height = min(a[3], b[3]) - max(a[1], b[1])
     inner = max(width, 0) * max(height, 0)
     area = lambda box: (box[2] - box[0]) * (box[3] - box[1])
-    return inner / (area(a) + area(b) - inner)
+    return inner / (area(a) + area(b) - inner), inner / min(area(a), area(b))
 
 
 if __name__ == "__main__":

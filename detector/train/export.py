@@ -48,6 +48,7 @@ classes = 5
 [thresholds]
 score = {score}
 iou = {iou}
+ios = {ios}
 """
 
 
@@ -107,14 +108,14 @@ def calibration(where, count=60, seed=20210320):
     return sorted(np.random.default_rng(seed).choice(paths, count, replace=False).tolist())
 
 
-def sidecar(path, about, width, height, score, iou):
+def sidecar(path, about, width, height, score, iou, ios):
     with open(path, "rb") as file:
         digest = hashlib.sha256(file.read()).hexdigest()
     names = ["car", "van", "bus", "truck", "motorcycle"]
     classes = "\n".join(f'[[class]]\nindex = {i}\nname = "{n}"\n' for i, n in enumerate(names))
     name = os.path.basename(path)[: -len(".onnx")]
     text = SIDECAR.format(about=about, name=name, digest=digest, width=width, height=height,
-                          classes=classes, score=score, iou=iou)
+                          classes=classes, score=score, iou=iou, ios=ios)
     with open(path[: -len("onnx")] + "toml", "w") as file:
         file.write(text)
 
@@ -131,7 +132,8 @@ def main():
     args.add_argument("--distil", metavar="DATA", help="the same: the int8 form then learns from "
                       "the f32 one on these pictures, which takes minutes")
     args.add_argument("--score", type=float, default=0.35)
-    args.add_argument("--iou", type=float, default=0.6)
+    args.add_argument("--iou", type=float, default=0.5)
+    args.add_argument("--ios", type=float, default=0.8, help="intersection over the smaller")
     args = args.parse_args()
     torch.set_num_threads(1)
     state = torch.load(args.checkpoint, map_location="cpu", weights_only=False)
@@ -151,7 +153,7 @@ def main():
                               teach=teach)
         else:
             onnx.save(int8_weights(plain), stem + ".onnx")
-        sidecar(stem + ".onnx", about, width, height, args.score, args.iou)
+        sidecar(stem + ".onnx", about, width, height, args.score, args.iou, args.ios)
         print(f"{stem}.onnx {os.path.getsize(stem + '.onnx')} bytes")
 
 

@@ -74,11 +74,21 @@ impl PixelBox {
 
     /// Intersection over union with `other`, 0 to 1.
     pub fn iou(&self, other: &Self) -> f32 {
-        let width = self.x1.min(other.x1) - self.x0.max(other.x0);
-        let height = self.y1.min(other.y1) - self.y0.max(other.y0);
-        let intersection = width.max(0.0) * height.max(0.0);
+        let intersection = self.intersection(other);
         let union = self.area() + other.area() - intersection;
         if union > 0.0 { intersection / union } else { 0.0 }
+    }
+
+    /// Intersection over the smaller of this and `other`, 0 to 1: 1 where one lies in the other.
+    pub fn ios(&self, other: &Self) -> f32 {
+        let smaller = self.area().min(other.area());
+        if smaller > 0.0 { self.intersection(other) / smaller } else { 0.0 }
+    }
+
+    fn intersection(&self, other: &Self) -> f32 {
+        let width = self.x1.min(other.x1) - self.x0.max(other.x0);
+        let height = self.y1.min(other.y1) - self.y0.max(other.y0);
+        width.max(0.0) * height.max(0.0)
     }
 }
 

@@ -272,7 +272,7 @@ impl Detector {
         let region = self.passes[pass].region(picture);
         self.close.clear();
         let boxes = if pass == 0 { &mut *found } else { &mut self.close };
-        nms::suppress(&mut self.candidates, thresholds.iou, MAX_CANDIDATES, boxes);
+        nms::suppress(&mut self.candidates, thresholds, MAX_CANDIDATES, boxes);
         for detection in boxes {
             detection.bounds = letterbox.to_picture(&detection.bounds, region);
         }

@@ -171,6 +171,14 @@ pub struct Thresholds {
     pub score: f32,
     /// Boxes that overlap a better one by more than this (IoU) are dropped, 0 to 1.
     pub iou: f32,
+    /// Boxes of which more than this part lies in a better one, or a better one in them, are
+    /// dropped (intersection over the smaller), 0 to 1; 1, no box, where the sidecar has none.
+    #[serde(default = "no_share")]
+    pub ios: f32,
+}
+
+fn no_share() -> f32 {
+    1.0
 }
 
 impl Sidecar {
@@ -254,10 +262,11 @@ impl Sidecar {
                 format!("{} of {} columns", column.index, self.head.classes),
             )?;
         }
+        let Thresholds { score, iou, ios } = self.thresholds;
         known(
-            in_range(self.thresholds.score) && in_range(self.thresholds.iou),
+            [score, iou, ios].into_iter().all(in_range),
             "thresholds",
-            format!("{:?}, both must be 0 to 1", self.thresholds),
+            format!("{:?}, all must be 0 to 1", self.thresholds),
         )
     }
 }

@@ -6,10 +6,11 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::time::Duration;
 use verge::daemon::capture::{Recorded, Source, decode};
+use verge::daemon::counting::Counting;
 use verge::daemon::detect::Detector;
 use verge::daemon::flow::{Frame, Picture};
+use verge::daemon::line::LineSettings;
 use verge::daemon::views::{MAX_REGIONS, Parts};
-use verge::daemon::{Counting, LineSettings};
 
 /// The system's allocator, counting what this thread asks of it.
 struct Counted;

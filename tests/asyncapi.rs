@@ -8,7 +8,7 @@ use std::fs;
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::time::Duration;
-use verge::daemon::Outlet;
+use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::{Format, Identity, MqttSettings, payload, window_name};
 use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};

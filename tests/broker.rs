@@ -10,7 +10,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-use verge::daemon::Outlet;
+use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::{
     Format, Identity, MqttSettings, MqttVersion, Tls, TlsFiles, payload, probe,

@@ -11,9 +11,10 @@ use std::time::Duration;
 use street::recording::{Recorder, calibration};
 use street::scene::Scene;
 use street::truth::FrameTruth;
+use verge::daemon::counting::Counting;
 use verge::daemon::flow::{Detection, PixelBox};
+use verge::daemon::line::LineSettings;
 use verge::daemon::locate::Anchor;
-use verge::daemon::{Counting, LineSettings};
 use verge::density::{Closed, WindowReport};
 use verge::units::{UtcMs, VehicleClass};
 

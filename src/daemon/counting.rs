@@ -4,9 +4,9 @@
 //! windows of its own, which hold pictures of that preset alone. A window is reported by the
 //! preset at which the camera looked when it ended; what other presets hold of it is dropped.
 
-use super::LineSettings;
 use super::exit::Failure;
 use super::flow::Detection;
+use super::line::LineSettings;
 use super::locate::{LocateError, Located, Locator};
 use super::views::{Parts, Views};
 use crate::density::{Aggregator, Closed, SampleZoneStatus};

@@ -5,8 +5,8 @@
 
 use super::capture::{Captured, Recorded, Source};
 use super::exit::Failure;
-use super::flow::{Detection, Frame};
-use super::{Detector, Line};
+use super::flow::{Detection, Frame, Picture};
+use super::line::Line;
 use crate::density::{Closed, SampleZoneStatus};
 use crate::health::Event;
 use crate::lane::Description;
@@ -43,15 +43,13 @@ pub(super) fn play(
 /// Searches a recording for vehicles. Frames that cannot be searched are said.
 pub(super) fn search(
     recorded: Recorded,
-    detector: &mut Detector,
+    mut detect: impl FnMut(&Picture, &mut Vec<Detection>) -> Result<(), Failure>,
     mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let mut player = Player::new(recorded);
     let mut found = Vec::new();
     while let Some(captured) = player.next() {
-        let outcome =
-            captured.and_then(|()| Ok(detector.detect(&player.frame.picture, &mut found)?));
-        match outcome {
+        match captured.and_then(|()| detect(&player.frame.picture, &mut found)) {
             Ok(()) => {
                 player.measured += 1;
                 on_frame(&player.frame, &found)?;

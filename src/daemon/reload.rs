@@ -8,10 +8,9 @@
 //! every window is whole, measured by the old configuration or by the new one. Where each
 //! length divides the longest, that is the end of the longest running window.
 
-use super::capture::{Source, SourceSettings};
+use super::assemble::Assembly;
 use super::config::{Config, ConfigError};
 use super::exit::Failure;
-use super::{Line, MqttSettings, broker, camera, open_line};
 use crate::units::UtcMs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,9 +21,7 @@ use std::time::Duration;
 /// All that a configuration asks for, loaded and checked.
 pub struct Candidate {
     pub config: Config,
-    pub line: Line,
-    pub camera: SourceSettings,
-    pub broker: MqttSettings,
+    pub assembly: Assembly,
 }
 
 impl Candidate {
@@ -35,12 +32,8 @@ impl Candidate {
     pub fn load(path: &Path, running: &Config) -> Result<Self, Failure> {
         let config = Config::read(path)?;
         check_fixed(path, running, &config)?;
-        let line = open_line(&config)?;
-        let camera = camera(&config, Some(&line))?;
-        // No camera is asked yet; an address that is none is found here.
-        Source::open(camera.clone())?;
-        let broker = broker(&config)?;
-        Ok(Self { config, line, camera, broker })
+        let assembly = Assembly::of(&config)?;
+        Ok(Self { config, assembly })
     }
 }
 

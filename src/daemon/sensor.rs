@@ -11,11 +11,13 @@ use super::board::Driven;
 use super::clock::{self, Step, Watch};
 use super::config::Config;
 use super::exit::Failure;
+use super::line::Measured;
 use super::metrics::Metrics;
+use super::outlet::Outlet;
 use super::publish::home_assistant::Announcement;
 use super::publish::payload::{self, Frames, status_name};
 use super::reload::Pending;
-use super::{Measured, Outlet, Station};
+use super::station::Station;
 use crate::density::{Closed, SampleZoneStatus};
 use crate::derate::Pace;
 use crate::fault::Allowance;
@@ -68,7 +70,7 @@ impl Sensor {
     /// A sensor that begins with the next turn.
     pub fn new(config: Config, station: Station, outlet: Outlet) -> Self {
         Self {
-            announcements: announcements(&config, &station.line),
+            announcements: announcements(&config, station.line()),
             health: Health::new(config.interval(), Duration::ZERO),
             metrics: config.metrics.file.as_deref().map(Metrics::new),
             config,
@@ -126,9 +128,9 @@ impl Sensor {
             if let Some(last) = self.unsynchronised.as_mut() {
                 *last = to;
             }
-            let closed = self.station.line.advance(from);
+            let closed = self.station.line_mut().advance(from);
             self.publish(&closed);
-            let closed = self.station.line.set_clock(from, to);
+            let closed = self.station.line_mut().set_clock(from, to);
             self.publish(&closed);
         }
         if !clock::is_synchronised() {
@@ -152,7 +154,7 @@ impl Sensor {
         }
         log::warn!("the enclosure's temperature sets the pace: {}", pace_name(pace));
         let interval = self.interval();
-        self.station.line.set_interval(interval);
+        self.station.line_mut().set_interval(interval);
         if (before == Pace::Full) != (pace == Pace::Full) {
             self.tell_alarm("overheated", pace != Pace::Full);
         }
@@ -168,14 +170,14 @@ impl Sensor {
         if self.pace == Pace::Stopped {
             self.hear_clock(clock::now());
             let suspended = SampleZoneStatus::DetectionAutoSuspended;
-            let closed = self.station.line.miss(clock::now(), suspended);
+            let closed = self.station.line_mut().miss(clock::now(), suspended);
             self.publish(&closed);
             return Ok(None);
         }
         let begun = Instant::now();
         let captured = survive(|| self.station.capture());
         let is_new = matches!(captured, Ok(true));
-        self.hear_clock(if is_new { self.station.frame.time } else { clock::now() });
+        self.hear_clock(if is_new { self.station.frame().time } else { clock::now() });
         let outcome = match captured {
             Ok(true) => survive(|| self.station.measure()).map(Some),
             Ok(false) => Ok(None),
@@ -221,7 +223,7 @@ impl Sensor {
                 }
             }
         };
-        let closed = self.station.line.miss(clock::now(), status);
+        let closed = self.station.line_mut().miss(clock::now(), status);
         self.publish(&closed);
         event
     }
@@ -249,7 +251,7 @@ impl Sensor {
     {
         let time = clock::now();
         self.hear_clock(time);
-        let closed = self.station.line.advance(time);
+        let closed = self.station.line_mut().advance(time);
         self.publish(&closed);
         self.outlet.tend();
         let since_start = self.since_start();
@@ -282,7 +284,7 @@ impl Sensor {
     }
 
     fn publish(&mut self, closed: &Closed) {
-        self.outlet.measured_with(self.station.line.reported());
+        self.outlet.measured_with(self.station.line().reported());
         for report in closed {
             let is_true = self.unsynchronised.is_none_or(|last| report.from > last);
             self.outlet.density(report, is_true);

@@ -65,7 +65,7 @@ fn child_full() {
     // Full before the spool is made: the broker gets everything from memory.
     let filler = fill(&disk);
     let mut outlet = outlet(port, &disk.join("spool"), 1000.0);
-    let mut accept = |outlet: &mut verge::daemon::Outlet, windows| {
+    let mut accept = |outlet: &mut verge::daemon::outlet::Outlet, windows| {
         for _ in 0..windows {
             sent += 1;
             outlet.density(&window(sent), true);

@@ -19,7 +19,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
-use verge::daemon::Outlet;
+use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::loopback::Subscriber;
 use verge::daemon::publish::{Format, Identity, MqttSettings};
 use verge::daemon::spool::Spool;

@@ -1,9 +1,11 @@
 //! `verge bench`: what each stage takes, as JSON.
 
 use super::{ModelArgs, compare, recording};
+use crate::daemon::assemble::open_endless;
+use crate::daemon::counting::Counting;
 use crate::daemon::exit::Failure;
+use crate::daemon::line::{LineSettings, StageTimes};
 use crate::daemon::views::Views;
-use crate::daemon::{Counting, LineSettings, StageTimes, open_endless};
 use crate::units::{ImagePoint, ImageSize};
 use serde_json::{Value, json};
 use std::hint::black_box;
@@ -61,7 +63,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let peak_rss = peak_rss_mb();
     let mut report = json!({
         "frames": stages.len(),
-        "picture": station.line.counting().table().image_size.to_string(),
+        "picture": station.line().counting().table().image_size.to_string(),
         "model": args.model.model.file_name().map(|name| name.to_string_lossy()),
         "capture_ms": stage(|s| s.capture),
         "scene_ms": stage(|s| s.scene),
@@ -71,12 +73,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         "count_ms": stage(|s| s.count),
         "except_inference_ms": stage(|s| s.capture + s.scene + s.prepare + s.read + s.count),
         "frame_ms": stage(|s| s.capture + s.scene + s.prepare + s.infer + s.read + s.count),
-        "table_look_up_ns": look_up_ns(station.line.counting()),
+        "table_look_up_ns": look_up_ns(station.line().counting()),
         "cold_start_ms": round(cold_start.as_secs_f64() * 1e3),
         "peak_rss_mb": peak_rss,
     });
     if args.compare_onnxruntime {
-        let picture = station.frame.picture.clone();
+        let picture = station.frame().picture.clone();
         let model = args.model.model.clone();
         let frame = || station.turn_timed().map(drop);
         let compared = compare::compare(&model, &picture, args.count.max(1), frame)?;

@@ -3,10 +3,11 @@
 //! Two pictures are judged as the running line would judge them. What it would withhold for
 //! longer than a moment fails the check, so that nobody leaves a camera that looks elsewhere.
 
+use crate::daemon::assemble::{broker, first_picture, open_line};
 use crate::daemon::config::Config;
 use crate::daemon::exit::{self, Failure};
 use crate::daemon::publish::{self, payload::status_name};
-use crate::daemon::{Station, broker, first_picture, open_line};
+use crate::daemon::station::Station;
 use crate::health::{Alarm, Event};
 use std::path::Path;
 use std::time::Duration;
@@ -36,7 +37,7 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         format!("{}: {}x{} px", config.camera.source, frame.picture.width, frame.picture.height)
     });
     if let (Some(line), Some((source, frame))) = (line, picture) {
-        let station = Station { source, camera: None, frame, line };
+        let station = Station::with(source, frame, line);
         report.line("measurement", measure(station, config.interval()), String::clone);
     }
     let connected = broker(&config).and_then(|settings| {
@@ -54,8 +55,8 @@ pub fn run(path: &Path) -> Result<(), Failure> {
 
 /// Measures the picture that was taken and another one, and describes what was seen.
 fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> {
-    let first = station.line.measure(&station.frame)?.event;
-    let (mut found, mut located) = station.line.latest();
+    let first = station.measure()?.event;
+    let (mut found, mut located) = station.line().latest();
     std::thread::sleep(APART);
     let second = if station.capture()? { station.measure()?.event } else { Event::Unchanged };
     let event = match second {
@@ -64,9 +65,9 @@ fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> 
         second => second,
     };
     if second == Event::Measured {
-        (found, located) = station.line.latest();
+        (found, located) = station.line().latest();
     }
-    let aim = station.line.scene().map_or("not checked", |scene| scene.aiming().name());
+    let aim = station.line().scene().map_or("not checked", |scene| scene.aiming().name());
     match event {
         Event::Withheld(alarm) => Err(withheld(alarm)),
         Event::PassedOver => Err(withheld(Alarm::CameraMoved)),

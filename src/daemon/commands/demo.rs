@@ -4,12 +4,14 @@
 //! table, windows, MQTT over loopback, and JSON.
 
 use super::recording;
+use crate::daemon::assemble::open_recording;
 use crate::daemon::config::DEFAULT_MODEL;
 use crate::daemon::exit::Failure;
+use crate::daemon::line::LineSettings;
+use crate::daemon::outlet::Outlet;
 use crate::daemon::playback::play;
 use crate::daemon::publish::loopback::{self, Subscriber};
 use crate::daemon::publish::{Format, MqttSettings};
-use crate::daemon::{LineSettings, Outlet, open_recording};
 use serde_json::Value;
 use std::thread;
 use std::time::{Duration, Instant};

@@ -1,8 +1,8 @@
 //! `verge detect`: boxes of recorded frames, without a lane table.
 
 use super::{ModelArgs, text};
+use crate::daemon::assemble::open_detector;
 use crate::daemon::exit::Failure;
-use crate::daemon::open_detector;
 use crate::daemon::output::WholeFile;
 use crate::daemon::playback::search;
 use std::path::PathBuf;
@@ -24,6 +24,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let (recorded, mut detector) =
         open_detector(&args.frames, &args.model.model, args.model.score)?;
     let mut file = WholeFile::create(&args.detections)?;
-    search(recorded, &mut detector, |frame, found| file.line(&text::boxes(frame, found)))?;
+    search(
+        recorded,
+        |picture, found| Ok(detector.detect(picture, found)?),
+        |frame, found| file.line(&text::boxes(frame, found)),
+    )?;
     file.finish()
 }

@@ -1,4 +1,4 @@
-//! What each command does. A command builds its line through `daemon/mod.rs` and names no
+//! What each command does. A command builds its line through `assemble` and names no
 //! more than one stage itself.
 
 pub mod bench;

@@ -1,13 +1,13 @@
 //! `verge replay`: density in recorded frames, the same bytes each time.
 
 use super::{ModelArgs, text};
-use crate::daemon::clock::rfc3339;
+use crate::daemon::assemble::open_recording;
 use crate::daemon::exit::Failure;
+use crate::daemon::line::LineSettings;
+use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
 use crate::daemon::playback::play;
-use crate::daemon::publish::{payload, window_name};
 use crate::daemon::views::Views;
-use crate::daemon::{Anchor, LineSettings, open_recording};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -84,14 +84,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
                 if args.json {
                     seq += 1;
                     let message = identity.message(report, clock_synced, seq);
-                    let json = payload::density(&message, None);
-                    print(&String::from_utf8_lossy(&json))?;
+                    print(&text::json(&message))?;
                     continue;
                 }
                 heading.take().map_or(Ok(()), print)?;
-                let window = window_name(Duration::from_secs(args.window));
                 for lane in &report.lanes {
-                    print(&text::lane(&window, &rfc3339(report.from)[..19], lane))?;
+                    print(&text::lane(report, lane))?;
                 }
             }
             Ok(())

@@ -2,13 +2,13 @@
 //!
 //! Owns the loop and the signals; what a turn does is `sensor`'s.
 
+use crate::daemon::assemble::Assembly;
 use crate::daemon::board::Driven;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::notify::Notify;
 use crate::daemon::reload::{Outcome, Reload};
 use crate::daemon::sensor::Sensor;
-use crate::daemon::{Station, open_outlet};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::path::Path;
@@ -32,8 +32,7 @@ where
     let config = Config::read(config)?;
     let mut notify = Notify::from_environment();
     let mut board = Driven::new(board);
-    let station = Station::open(&config)?;
-    let outlet = open_outlet(&config, &station.line)?;
+    let (station, outlet) = Assembly::of(&config)?.open(&config)?;
     log::info!("site {}: measuring every {:?}", config.site, config.interval());
     let mut sensor = Sensor::new(config, station, outlet);
     let (mut next, mut ready) = (Instant::now(), false);

@@ -1,32 +1,42 @@
-//! Lines of text for people, and boxes for programs.
+//! Lines of text for people, and windows and boxes as lines of JSON for programs.
 
+use crate::daemon::clock::rfc3339;
 use crate::daemon::flow::{Detection, Frame};
-use crate::daemon::publish::payload::status_name;
-use crate::density::LaneReport;
+use crate::daemon::publish::payload::{self, status_name};
+use crate::daemon::publish::window_name;
+use crate::density::{LaneReport, WindowReport};
 use crate::units::Direction;
+use crate::wire::DensityMessage;
 use serde_json::json;
 
 /// One lane of one window, in columns under [`LANE_HEADING`].
-pub fn lane(window: &str, from: &str, report: &LaneReport) -> String {
+pub fn lane(report: &WindowReport, lane: &LaneReport) -> String {
+    let from = &rfc3339(report.from)[..19];
+    let window = window_name(report.to.saturating_since(report.from));
     let number = |value: Option<f32>| value.map_or("-".to_owned(), |value| format!("{value:.1}"));
-    let direction = match report.direction {
+    let direction = match lane.direction {
         Direction::Unknown => "",
         Direction::Toward => "toward",
         Direction::Away => "away",
     };
     format!(
         "{from:<20} {window:>6} {:>5} {direction:<7} {:>8} {:>7} {:>9} {}",
-        report.lane.get(),
-        number(report.density_veh_km),
-        number(report.density_se),
-        format!("{}/{}", report.frames_used, report.frames_expected),
-        status_name(report.status),
+        lane.lane.get(),
+        number(lane.density_veh_km),
+        number(lane.density_se),
+        format!("{}/{}", lane.frames_used, lane.frames_expected),
+        status_name(lane.status),
     )
 }
 
 /// Heading of [`lane`]'s columns.
 pub const LANE_HEADING: &str =
     "from (UTC)           window  lane           veh/km      se    frames status";
+
+/// One window as it would be published.
+pub fn json(message: &DensityMessage) -> String {
+    String::from_utf8_lossy(&payload::density(message, None)).into_owned()
+}
 
 /// The boxes of one frame as a JSON line:
 /// `{"frame":"name.jpg","boxes":[[x0,y0,x1,y1,score,"class"],...]}`, px of the frame.

@@ -2,7 +2,9 @@
 #![cfg(feature = "demo")]
 
 use super::*;
+use crate::daemon::assemble::open_line;
 use crate::daemon::clock;
+use crate::daemon::line::Line;
 use crate::daemon::publish::loopback::start_broker;
 use crate::daemon::sensor::rig::{Arrived, Bench, TABLE, subscribe, write_config};
 use crate::lane::{self, LaneTable, Name};
@@ -141,11 +143,11 @@ fn a_new_table_brings_new_views() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let table = folder.path().join("table.lut");
     let (path, config) = config_with_views(folder.path());
-    let load = || Candidate::load(&path, &config).expect("it can take over").line;
+    let load = || Candidate::load(&path, &config).expect("it can take over").assembly.line;
     let before = load();
     fs::write(&table, other_table_from(185)).expect("writing it");
     let after = load();
-    let regions = |line: &Line| line.parts[0].of((320, 240));
+    let regions = |line: &Line| line.parts().of((320, 240));
     let (before, after) = (regions(&before), regions(&after));
     assert_eq!((before.len(), after.len()), (2, 1), "{after:?}: no far part is left");
     assert!(after[0].y > before[0].y, "{before:?} {after:?}");
@@ -157,9 +159,9 @@ fn views_that_are_too_slow_for_the_interval_become_one() {
     let (_, config) = config_with_views(folder.path());
     let mut line = open_line(&config).expect("what it names is there");
     line.keep_within(Duration::from_secs(3600)).expect("inference");
-    assert_eq!(line.parts[0].count(), 2);
+    assert_eq!(line.parts().count(), 2);
     line.keep_within(Duration::from_micros(10)).expect("inference");
-    assert_eq!(line.parts[0].count(), 1);
+    assert_eq!(line.parts().count(), 1);
 }
 
 #[test]

@@ -3,10 +3,11 @@
 //! Owns what changes and in which order; what is loaded, and when it is due, is `reload`'s.
 
 use super::Sensor;
-use crate::daemon::Line;
+use crate::daemon::assemble::Assembly;
 use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
+use crate::daemon::line::Line;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::publish::home_assistant::{self, Announcement};
 use crate::daemon::reload::{Candidate, Pending};
@@ -40,12 +41,13 @@ impl Sensor {
     /// Ends the windows of the old line, and begins those of the new one.
     pub(super) fn take_over(&mut self, pending: Pending) {
         let (candidate, at) = pending.begin();
-        let closed = self.station.line.advance(at);
+        let closed = self.station.line_mut().advance(at);
         self.publish(&closed);
-        let Candidate { config, mut line, camera, broker } = *candidate;
+        let Candidate { config, assembly } = *candidate;
+        let Assembly { mut line, camera, broker } = assembly;
         line.advance(at);
         let identity = line.identity(&config.site);
-        let is_other_camera = self.station.camera.as_ref() != Some(&camera);
+        let is_other_camera = !self.station.asks(&camera);
         if let Err(failure) = self.station.replace(line, camera) {
             return self.refuse(&failure);
         }
@@ -58,17 +60,18 @@ impl Sensor {
         }
         self.announce_anew(&config);
         self.config = config;
-        self.station.line.set_interval(self.interval());
+        let interval = self.interval();
+        self.station.line_mut().set_interval(interval);
         self.say_alarms();
         self.health_sent = None;
-        let (model, table) = self.station.line.describe();
+        let (model, table) = self.station.line().describe();
         log::info!("the new configuration is in force: {model}; {table}");
     }
 
     /// Replaces what is said to Home Assistant; what there is no more is taken back by an
     /// empty message.
     fn announce_anew(&mut self, config: &Config) {
-        let new = announcements(config, &self.station.line);
+        let new = announcements(config, self.station.line());
         let is_gone = |old: &Announcement| new.iter().all(|new| new.topic != old.topic);
         for Announcement { topic, .. } in self.announcements.drain(..).filter(is_gone) {
             self.outlet.publisher().announce(Announcement { topic, payload: Vec::new() });

@@ -3,8 +3,8 @@
 use super::Sensor;
 use crate::daemon::board::Driven;
 use crate::daemon::clock;
+use crate::daemon::line::Line;
 use crate::daemon::publish::payload::{self, Messages, Stream, status_name};
-use crate::daemon::{Line, Scene};
 use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
 use crate::health::{Actions, Alarm};
@@ -24,10 +24,10 @@ impl Sensor {
         let now: UtcMs = clock::now();
         let (delivered, refused) = self.outlet.publisher().counts();
         let spool = self.outlet.counts();
-        let stream = self.station.source.counts();
+        let stream = self.station.stream_counts();
         let faults = board.faults();
         let fault = self.fault().map(str::to_owned);
-        let line = &self.station.line;
+        let line = self.station.line();
         let health = payload::Health {
             site: &self.config.site,
             time: clock::rfc3339(now),
@@ -36,7 +36,7 @@ impl Sensor {
             alarm: actions.alarm.map(Alarm::name),
             uptime_s: self.since_start().as_secs(),
             clock_synced: clock::is_synchronised(),
-            camera: line.scene().map(|scene| Self::camera(line, scene)),
+            camera: camera(line),
             frames: self.frames,
             stream: Stream {
                 flagged: stream.flagged,
@@ -71,16 +71,17 @@ impl Sensor {
             metrics.write(&health, is_open);
         }
     }
+}
 
-    fn camera<'l>(line: &'l Line, scene: &Scene) -> payload::Camera<'l> {
-        let tenths = |px: f32| (px * 10.0).round() / 10.0;
-        payload::Camera {
-            aim: scene.aiming().name(),
-            preset: &line.counting().table().calibration_id,
-            shift_px: scene.shift().map(|shift| [tenths(shift.u), tenths(shift.v)]),
-            light: scene.latest().map(|look| if look.is_night() { "night" } else { "day" }),
-        }
-    }
+fn camera(line: &Line) -> Option<payload::Camera<'_>> {
+    let scene = line.scene()?;
+    let tenths = |px: f32| (px * 10.0).round() / 10.0;
+    Some(payload::Camera {
+        aim: scene.aiming().name(),
+        preset: &line.counting().table().calibration_id,
+        shift_px: scene.shift().map(|shift| [tenths(shift.u), tenths(shift.v)]),
+        light: scene.latest().map(|look| if look.is_night() { "night" } else { "day" }),
+    })
 }
 
 pub(super) const fn pace_name(pace: Pace) -> &'static str {

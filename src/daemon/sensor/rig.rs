@@ -2,12 +2,12 @@
 //! and a subscriber that reads every window.
 
 use super::Sensor;
+use crate::daemon::assemble::Assembly;
 use crate::daemon::board::Driven;
 use crate::daemon::clock::hand;
 use crate::daemon::config::Config;
 use crate::daemon::publish::loopback::Subscriber;
 use crate::daemon::reload::{Outcome, Reload};
-use crate::daemon::{Station, open_outlet};
 use crate::hal::Board;
 use crate::units::UtcMs;
 use serde_json::Value;
@@ -43,8 +43,8 @@ impl Bench {
         write_config(folder.path(), port, "");
         let path = folder.path().join("verge.toml");
         let config = Config::read(&path).expect("a right configuration");
-        let station = Station::open(&config).expect("what it names is there");
-        let outlet = open_outlet(&config, &station.line).expect("nobody has the spool");
+        let assembly = Assembly::of(&config).expect("what it names is there");
+        let (station, outlet) = assembly.open(&config).expect("nobody has the spool");
         let asked = Arc::new(AtomicBool::new(false));
         let reload = Reload::new(&path, Arc::clone(&asked));
         let sensor = Sensor::new(config, station, outlet);

@@ -1,0 +1,112 @@
+//! The end of the line: windows into the spool, and from there to the broker.
+//!
+//! Owns the order of spool and publish, and names both so that they need not know each other.
+
+use super::publish::{Delivery, Format, Identity, MqttSettings, Publisher};
+use super::spool::{Spool, SpoolCounts};
+use crate::density::WindowReport;
+use crate::lane::Description;
+
+/// The end of the line: windows into the spool, and from there to the broker.
+///
+/// What closes while a session is open is sent at once; what closed before it, or was on its
+/// way when an earlier one broke, follows as replay.
+#[derive(Debug)]
+pub struct Outlet {
+    identity: Identity,
+    spool: Spool,
+    publisher: Publisher,
+}
+
+impl Outlet {
+    /// Starts publishing; a broker that is away is no error.
+    pub fn start(broker: MqttSettings, format: Format, identity: Identity, spool: Spool) -> Self {
+        Self { identity, spool, publisher: Publisher::start(broker, format) }
+    }
+
+    /// The same without a disk: what has not arrived ends with the program.
+    pub fn in_memory(broker: MqttSettings, format: Format, identity: Identity) -> Self {
+        Self::start(broker, format, identity, Spool::in_memory())
+    }
+
+    /// The windows that follow were measured with this table.
+    pub fn measured_with(&mut self, table: &Description) {
+        self.identity.measured_with(table);
+    }
+
+    /// Takes a window. It outlives the program from here on, unless the disk refuses it.
+    pub fn density(&mut self, report: &WindowReport, clock_synced: bool) {
+        let identity = &self.identity;
+        let length_s = report.to.saturating_since(report.from).as_secs();
+        let length_s = u32::try_from(length_s).unwrap_or(u32::MAX);
+        let number = |seq| identity.message(report, clock_synced, seq);
+        let (key, message) = self.spool.accept(length_s, number);
+        self.hear();
+        if self.publisher.live(key, &message) {
+            self.spool.give(key);
+        }
+    }
+
+    /// From here on windows are another line's, and go to this broker; what waits and the
+    /// numbers go on. The spool keeps `windows` of them.
+    pub fn change(
+        &mut self,
+        broker: MqttSettings,
+        format: Format,
+        identity: Identity,
+        windows: u64,
+    ) {
+        self.identity = identity;
+        self.spool.keep(windows);
+        self.publisher.change(broker, format);
+    }
+
+    /// Hears what the broker has taken and sends what an outage has left; to be called a few
+    /// times a second.
+    pub fn tend(&mut self) {
+        self.hear();
+        for _ in 0..self.publisher.arrears_wanted() {
+            let Some(arrear) = self.spool.next_arrear() else { return };
+            self.publisher.arrear(arrear.key, &arrear.message, arrear.is_last);
+        }
+    }
+
+    fn hear(&mut self) {
+        while let Some(delivery) = self.publisher.delivery() {
+            match delivery {
+                Delivery::Opened => self.spool.rewind(),
+                Delivery::Closed => {}
+                Delivery::Taken(key) => self.spool.acknowledge(key),
+            }
+        }
+    }
+
+    /// Whether a session with the broker is open.
+    pub fn is_open(&self) -> bool {
+        self.publisher.is_open()
+    }
+
+    /// For what is no window: health and alarms.
+    pub fn publisher(&self) -> &Publisher {
+        &self.publisher
+    }
+
+    /// What waits, and what was lost.
+    pub fn counts(&self) -> SpoolCounts {
+        self.spool.counts()
+    }
+
+    /// Says goodbye to the broker. What it has not taken waits on the disk for a next run.
+    pub fn stop(mut self) {
+        self.hear();
+        self.publisher.stop().for_each(|key| self.spool.acknowledge(key));
+        self.spool.note_acknowledged();
+        let SpoolCounts { waiting, in_memory, .. } = self.spool.counts();
+        if in_memory > 0 {
+            log::error!("{in_memory} windows are lost: neither broker nor disk took them");
+        }
+        if waiting > in_memory {
+            log::info!("{} windows wait on the disk", waiting - in_memory);
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! A camera with the line behind it.
+//!
+//! Owns the frame that passes from one to the other, and which camera is asked. Reads no
+//! configuration: `assemble` does.
+
+use super::capture::{Captured, Source, SourceSettings, StreamCounts};
+use super::exit::Failure;
+use super::flow::Frame;
+use super::line::{Line, Measured, StageTimes};
+use std::time::Instant;
+
+/// A camera with the line behind it.
+#[derive(Debug)]
+pub struct Station {
+    source: Source,
+    /// What the source was opened with.
+    camera: Option<SourceSettings>,
+    frame: Frame,
+    line: Line,
+}
+
+impl Station {
+    /// A camera in front of a line. It is not asked yet.
+    ///
+    /// # Errors
+    /// Where the camera cannot be set up.
+    pub fn open(camera: SourceSettings, line: Line) -> Result<Self, Failure> {
+        let source = Source::open(camera.clone())?;
+        Ok(Self { source, camera: Some(camera), frame: Frame::default(), line })
+    }
+
+    /// A source that has given a frame already, or none yet, in front of a line.
+    pub fn with(source: Source, frame: Frame, line: Line) -> Self {
+        Self { source, camera: None, frame, line }
+    }
+
+    /// Takes a picture; false when it has the bytes of the one before.
+    ///
+    /// # Errors
+    /// [`Failure::Capture`]: there is none.
+    pub fn capture(&mut self) -> Result<bool, Failure> {
+        Ok(self.source.next(&mut self.frame)? == Captured::New)
+    }
+
+    /// Measures the picture that was taken last.
+    ///
+    /// # Errors
+    /// As [`Line::measure`].
+    pub fn measure(&mut self) -> Result<Measured, Failure> {
+        self.line.measure(&self.frame)
+    }
+
+    /// Replaces the line, and the camera where it is another one.
+    ///
+    /// # Errors
+    /// Where the camera cannot be set up; all is as it was then.
+    pub fn replace(&mut self, line: Line, camera: SourceSettings) -> Result<(), Failure> {
+        if !self.asks(&camera) {
+            self.source = Source::open(camera.clone())?;
+            self.camera = Some(camera);
+        }
+        self.line = line;
+        Ok(())
+    }
+
+    /// Takes and measures a picture, timed; for a recording that is played for ever.
+    ///
+    /// # Errors
+    /// As [`Self::capture`] and [`Self::measure`].
+    pub fn turn_timed(&mut self) -> Result<StageTimes, Failure> {
+        let begun = Instant::now();
+        self.source.next(&mut self.frame)?;
+        let capture = begun.elapsed();
+        Ok(StageTimes { capture, ..self.line.measure_timed(&self.frame)? })
+    }
+
+    /// Whether pictures come from this camera.
+    pub fn asks(&self, camera: &SourceSettings) -> bool {
+        self.camera.as_ref() == Some(camera)
+    }
+
+    /// What became of the frames of the camera's stream.
+    pub fn stream_counts(&self) -> StreamCounts {
+        self.source.counts()
+    }
+
+    /// The picture that was taken last.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// What measures its pictures.
+    pub fn line(&self) -> &Line {
+        &self.line
+    }
+
+    /// The same, to be told of time without pictures.
+    pub fn line_mut(&mut self) -> &mut Line {
+        &mut self.line
+    }
+}

@@ -8,7 +8,7 @@ use std::time::Duration;
 use verge::daemon::capture::{Recorded, Source, decode};
 use verge::daemon::counting::Counting;
 use verge::daemon::detect::Detector;
-use verge::daemon::flow::{Frame, Picture};
+use verge::daemon::frame::{Frame, Picture};
 use verge::daemon::line::LineSettings;
 use verge::daemon::views::{MAX_REGIONS, Parts};
 

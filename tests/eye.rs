@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use street::recording::{Recorder, calibration, write};
 use street::scene::Scene;
 use verge::daemon::capture::decode;
-use verge::daemon::flow::Picture;
+use verge::daemon::frame::Picture;
 use verge::daemon::scene::{Aiming, Scene as Judge, View};
 use verge::health::Alarm;
 use verge::scene::Reference;

@@ -5,7 +5,7 @@ mod common;
 use std::path::{Path, PathBuf};
 use verge::daemon::capture::decode;
 use verge::daemon::detect::{Detector, Precision};
-use verge::daemon::flow::{Detection, Picture};
+use verge::daemon::frame::{Detection, Picture};
 
 /// Low, so that weak cells are compared too.
 const SCORE: f32 = 0.05;

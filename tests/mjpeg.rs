@@ -9,7 +9,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::{Duration, Instant};
 use verge::daemon::capture::{Captured, Credentials, Mjpeg, MjpegSettings, Source};
-use verge::daemon::flow::Frame;
+use verge::daemon::frame::Frame;
 
 /// The time-out of the camera that the tests have.
 const TIMEOUT: Duration = Duration::from_millis(600);

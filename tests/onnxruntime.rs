@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::Command;
 use verge::daemon::capture::decode;
 use verge::daemon::detect::{Detector, Precision, forms};
-use verge::daemon::flow::{Picture, PixelBox};
+use verge::daemon::frame::{Picture, PixelBox};
 
 /// How far two boxes of one vehicle may lie apart in floats: overlap and score.
 const OVERLAP: f32 = 0.98;

@@ -9,7 +9,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::{Duration, Instant};
 use verge::daemon::capture::{Captured, Credentials, Snapshot, SnapshotSettings, Source};
-use verge::daemon::flow::Frame;
+use verge::daemon::frame::Frame;
 
 /// Serves one connection per answer, on a port of this machine; returns the address and
 /// the requests that came.

@@ -12,7 +12,7 @@ use street::recording::{Recorder, calibration};
 use street::scene::Scene;
 use street::truth::FrameTruth;
 use verge::daemon::counting::Counting;
-use verge::daemon::flow::{Detection, PixelBox};
+use verge::daemon::frame::{Detection, PixelBox};
 use verge::daemon::line::LineSettings;
 use verge::daemon::locate::Anchor;
 use verge::density::{Closed, WindowReport};

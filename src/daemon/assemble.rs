@@ -9,7 +9,7 @@ use super::capture::{
 use super::config::{Config, SourceKind};
 use super::detect::Detector;
 use super::exit::Failure;
-use super::flow::Frame;
+use super::frame::Frame;
 use super::line::{Line, LineSettings};
 use super::locate::Anchor;
 use super::outlet::Outlet;

@@ -5,7 +5,7 @@
 //! preset at which the camera looked when it ended; what other presets hold of it is dropped.
 
 use super::exit::Failure;
-use super::flow::Detection;
+use super::frame::Detection;
 use super::line::LineSettings;
 use super::locate::{LocateError, Located, Locator};
 use super::views::{Parts, Views};

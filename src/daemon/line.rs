@@ -7,7 +7,7 @@ use super::clock;
 use super::counting::{Counting, Presets};
 use super::detect::Detector;
 use super::exit::Failure;
-use super::flow::{Detection, Frame};
+use super::frame::{Detection, Frame};
 use super::locate::Anchor;
 use super::publish::Identity;
 use super::scene::{Scene, View};

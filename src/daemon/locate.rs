@@ -3,7 +3,7 @@
 //! Owns which point of a box stands for the vehicle, and the lane table's file. Does not
 //! count.
 
-use super::flow::{Detection, PixelBox};
+use super::frame::{Detection, PixelBox};
 use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
 use crate::scene::{MAX_REFERENCE, Reference};
 use crate::units::{ImagePoint, ImageSize, VehicleClass};

@@ -5,7 +5,7 @@
 //!            Frame      View   Detection  Located   WindowReport  bytes
 //! ```
 //!
-//! Each stage is a module that knows the values of [`flow`] and no other stage; aggregation is
+//! Each stage is a module that knows the values of [`frame`] and no other stage; aggregation is
 //! the core's [`crate::density`]. [`line`] joins the stages from a frame to density, [`outlet`]
 //! those from a window to the broker, with the [`spool`] between them, and `assemble` builds
 //! both from a configuration: these three alone name two stages. Nothing is declared here, for
@@ -22,7 +22,7 @@ pub mod counting;
 pub mod detect;
 pub mod exit;
 pub mod export;
-pub mod flow;
+pub mod frame;
 pub mod line;
 pub mod locate;
 pub mod metrics;

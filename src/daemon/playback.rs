@@ -5,7 +5,7 @@
 
 use super::capture::{Captured, Recorded, Source};
 use super::exit::Failure;
-use super::flow::{Detection, Frame, Picture};
+use super::frame::{Detection, Frame, Picture};
 use super::line::Line;
 use crate::density::{Closed, SampleZoneStatus};
 use crate::health::Event;

@@ -4,7 +4,7 @@
 //! Owns the buffers and the order of the questions; the answers are the core's
 //! ([`crate::picture`], [`crate::scene`]). After the first picture nothing is allocated.
 
-use super::flow::Picture;
+use super::frame::Picture;
 use crate::health::Alarm;
 use crate::picture::{Before, Look};
 use crate::scene::{Aim, Cell, Eye, Grid, Guard, Judgement, Reference};

@@ -5,7 +5,7 @@
 
 use super::capture::{Captured, Source, SourceSettings, StreamCounts};
 use super::exit::Failure;
-use super::flow::Frame;
+use super::frame::Frame;
 use super::line::{Line, Measured, StageTimes};
 use std::time::Instant;
 

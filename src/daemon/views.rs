@@ -8,7 +8,7 @@
 //! How large a vehicle is follows from the width of its lane: lane pixels times the length of
 //! road that each spans is an area in pixels times metres, whichever way the lane runs.
 
-use super::flow::Region;
+use super::frame::Region;
 use crate::lane::{Description, Place};
 use crate::units::{ImagePoint, ImageSize, LaneId};
 use serde::Deserialize;

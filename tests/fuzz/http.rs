@@ -6,7 +6,7 @@ use std::net::{Ipv4Addr, TcpListener};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use verge::daemon::capture::{Captured, Snapshot, SnapshotSettings, Source};
-use verge::daemon::flow::Frame;
+use verge::daemon::frame::Frame;
 
 /// Words of HTTP.
 pub const TOKENS: &[&[u8]] = &[

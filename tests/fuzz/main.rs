@@ -25,7 +25,7 @@ use std::path::Path;
 use verge::daemon::capture::{DecodeError, decode};
 use verge::daemon::config::Config;
 use verge::daemon::export::{Exporter, MessageForm, Place, Target as Format, read};
-use verge::daemon::flow::Picture;
+use verge::daemon::frame::Picture;
 use verge::daemon::publish::{Identity, payload};
 use verge::daemon::spool::{self, Spool};
 use verge::density::{Aggregator, LaneReport, SampleZoneStatus, Start};

@@ -4,7 +4,7 @@ use super::runner::Target;
 use super::{common, magnitude};
 use verge::daemon::capture::decode;
 use verge::daemon::capture::multipart::Parts;
-use verge::daemon::flow::Picture;
+use verge::daemon::frame::Picture;
 
 /// What cameras send as a stream: with and without lengths, with dashes of their own.
 fn begin_with() -> Vec<Vec<u8>> {

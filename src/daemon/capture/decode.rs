@@ -2,7 +2,7 @@
 //!
 //! Owns what a picture must satisfy to be measured at all.
 
-use crate::daemon::flow::Picture;
+use crate::daemon::frame::Picture;
 use image::{ColorType, ImageDecoder, ImageFormat};
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};

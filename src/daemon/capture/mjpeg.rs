@@ -10,7 +10,7 @@ use super::queue::FRESH;
 use super::snapshot::basic;
 use super::{CaptureError, Captured, Credentials, StreamCounts, decode};
 use crate::daemon::clock;
-use crate::daemon::flow::Frame;
+use crate::daemon::frame::Frame;
 use std::hash::{DefaultHasher, Hasher};
 use std::io::Read;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -25,7 +25,7 @@ pub use mjpeg::{Mjpeg, MjpegError, MjpegSettings, SCHEME as MJPEG_SCHEME};
 pub use recorded::{Recorded, RecordingError};
 pub use snapshot::{Credentials, Snapshot, SnapshotError, SnapshotSettings};
 
-use super::flow::Frame;
+use super::frame::Frame;
 use std::path::PathBuf;
 use std::time::Duration;
 

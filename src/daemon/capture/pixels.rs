@@ -5,7 +5,7 @@
 //! device.
 
 use super::DecodeError;
-use crate::daemon::flow::Picture;
+use crate::daemon::frame::Picture;
 
 /// How luma and chroma became bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -5,7 +5,7 @@
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
 use crate::daemon::clock;
-use crate::daemon::flow::Frame;
+use crate::daemon::frame::Frame;
 use crate::units::UtcMs;
 use std::fs::{self, File};
 use std::io::Read;

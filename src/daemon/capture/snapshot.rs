@@ -5,7 +5,7 @@
 
 use super::{CaptureError, Captured, MAX_PICTURE_BYTES, decode};
 use crate::daemon::clock;
-use crate::daemon::flow::Frame;
+use crate::daemon::frame::Frame;
 use base64::{Engine, prelude::BASE64_STANDARD as BASE64};
 use std::hash::{DefaultHasher, Hasher};
 use std::io::Read;

@@ -18,7 +18,7 @@ use super::pixels::{self, Colour, Layout};
 use super::queue::{BUFFERS, Question, Sequence};
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE, StreamCounts, decode};
 use crate::daemon::clock;
-use crate::daemon::flow::{Frame, Picture};
+use crate::daemon::frame::{Frame, Picture};
 use std::hash::{DefaultHasher, Hasher};
 use std::io::{Error, ErrorKind};
 use std::panic::{AssertUnwindSafe, catch_unwind};

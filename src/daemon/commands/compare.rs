@@ -6,7 +6,7 @@
 use crate::daemon::clock;
 use crate::daemon::detect::{Detector, Precision, forms};
 use crate::daemon::exit::Failure;
-use crate::daemon::flow::Picture;
+use crate::daemon::frame::Picture;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
 //! Lines of text for people, and windows and boxes as lines of JSON for programs.
 
 use crate::daemon::clock::rfc3339;
-use crate::daemon::flow::{Detection, Frame};
+use crate::daemon::frame::{Detection, Frame};
 use crate::daemon::publish::payload::{self, status_name};
 use crate::daemon::publish::window_name;
 use crate::density::{LaneReport, WindowReport};

@@ -9,7 +9,7 @@ use super::onnx::ModelProto;
 use super::sidecar::Sidecar;
 use super::tail::Tail;
 use super::{ModelError, forms, operators};
-use crate::daemon::flow::Detection;
+use crate::daemon::frame::Detection;
 use prost::Message;
 use std::path::Path;
 use std::sync::Arc;

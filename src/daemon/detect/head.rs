@@ -3,7 +3,7 @@
 //! Owns the decodings. Only cells whose score passes the threshold are decoded.
 
 use super::sidecar::{HeadKind, Sidecar};
-use crate::daemon::flow::{Detection, PixelBox};
+use crate::daemon::frame::{Detection, PixelBox};
 use crate::units::VehicleClass;
 
 /// How one model's output is read.

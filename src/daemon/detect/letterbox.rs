@@ -6,7 +6,7 @@
 //! does not alias.
 
 use super::sidecar::Normalisation;
-use crate::daemon::flow::{Picture, PixelBox, Region};
+use crate::daemon::frame::{Picture, PixelBox, Region};
 use verge_kernels::Steps;
 
 /// Value of the bars beside a picture of another shape, before normalisation.

@@ -6,7 +6,7 @@
 //! vehicle: where the two disagree about which of them it belongs to, the wide one keeps it.
 
 use super::nms::best_first;
-use crate::daemon::flow::{Detection, Picture, PixelBox, Region};
+use crate::daemon::frame::{Detection, Picture, PixelBox, Region};
 
 /// Boxes of two passes that overlap by more than this (IoU) are one vehicle. Less than within
 /// a pass: the two see it at different scales, and neighbours in one pass are told apart there.

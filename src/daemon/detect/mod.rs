@@ -21,7 +21,7 @@ pub use engine::Precision;
 pub use forms::{Forms, forms};
 pub use sidecar::{Sidecar, SidecarError};
 
-use super::flow::{Detection, Picture, Region};
+use super::frame::{Detection, Picture, Region};
 use crate::lane::Name;
 use crate::wire::{ModelRef, hex};
 use engine::Engine;

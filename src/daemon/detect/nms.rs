@@ -1,7 +1,7 @@
 //! Non-maximum suppression: of boxes on one vehicle the best stays.
 
 use super::sidecar::Thresholds;
-use crate::daemon::flow::Detection;
+use crate::daemon::frame::Detection;
 use std::cmp::Ordering;
 
 /// Falling scores; equal ones by position, so that the same picture gives the same boxes.
@@ -38,7 +38,7 @@ pub(super) fn suppress(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::flow::PixelBox;
+    use crate::daemon::frame::PixelBox;
     use crate::units::VehicleClass;
 
     const THRESHOLDS: Thresholds = Thresholds { score: 0.3, iou: 0.6, ios: 0.7 };

@@ -8,9 +8,9 @@ use std::time::Duration;
 use verge::daemon::capture::{Recorded, Source, decode};
 use verge::daemon::counting::Counting;
 use verge::daemon::detect::Detector;
+use verge::daemon::detect::regions::{MAX_REGIONS, Parts};
 use verge::daemon::frame::{Frame, Picture};
 use verge::daemon::line::LineSettings;
-use verge::daemon::views::{MAX_REGIONS, Parts};
 
 /// The system's allocator, counting what this thread asks of it.
 struct Counted;

@@ -8,7 +8,6 @@ use super::exit::Failure;
 use super::frame::Detection;
 use super::line::LineSettings;
 use super::locate::{LocateError, Located, Locator};
-use super::views::{Parts, Views};
 use crate::density::{Aggregator, Closed, SampleZoneStatus};
 use crate::lane::{Description, Place};
 use crate::scene::Reference;
@@ -136,13 +135,9 @@ impl Presets {
         Ok(self.presets.iter().map(reference).collect::<Result<_, _>>()?)
     }
 
-    /// The parts of each preset's pictures that are searched, for a net with that input.
-    pub fn parts(&self, views: Views, input: [usize; 2]) -> Vec<Parts> {
-        let parts = |preset: &Counting| match views {
-            Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),
-            Views::Whole => Parts::WHOLE,
-        };
-        self.presets.iter().map(parts).collect()
+    /// Each of them.
+    pub fn iter(&self) -> impl Iterator<Item = &Counting> {
+        self.presets.iter()
     }
 
     /// The preset at which the camera looks.

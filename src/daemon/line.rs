@@ -4,14 +4,15 @@
 //! need not know each other. Pictures come from `station`, windows go to [`super::outlet`].
 
 use super::clock;
+use super::config::Views;
 use super::counting::{Counting, Presets};
 use super::detect::Detector;
+use super::detect::regions::Parts;
 use super::exit::Failure;
 use super::frame::{Detection, Frame};
 use super::locate::Anchor;
 use super::publish::Identity;
 use super::scene::{Scene, View};
-use super::views::{Parts, Views};
 use crate::density::{Closed, SampleZoneStatus, Start};
 use crate::health::Event;
 use crate::lane::Description;
@@ -117,7 +118,12 @@ impl Line {
         let references = presets.references()?;
         let scene = settings.watch.then(|| Scene::new(references));
         let detector = Detector::load(&settings.model, settings.score)?;
-        let parts = presets.parts(settings.views, detector.input_size());
+        let input = detector.input_size();
+        let parts = |preset: &Counting| match settings.views {
+            Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),
+            Views::Whole => Parts::WHOLE,
+        };
+        let parts = presets.iter().map(parts).collect();
         Ok(Self { detector, scene, presets, parts, found: Vec::new() })
     }
 

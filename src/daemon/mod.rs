@@ -36,7 +36,6 @@ pub mod scene;
 mod sensor;
 pub mod spool;
 mod station;
-pub mod views;
 
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use std::process::ExitCode;

@@ -2,10 +2,10 @@
 
 use super::{ModelArgs, compare, recording};
 use crate::daemon::assemble::open_endless;
+use crate::daemon::config::Views;
 use crate::daemon::counting::Counting;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::{LineSettings, StageTimes};
-use crate::daemon::views::Views;
 use crate::units::{ImagePoint, ImageSize};
 use serde_json::{Value, json};
 use std::hint::black_box;

@@ -2,12 +2,12 @@
 
 use super::{ModelArgs, text};
 use crate::daemon::assemble::open_recording;
+use crate::daemon::config::Views;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
 use crate::daemon::playback::play;
-use crate::daemon::views::Views;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -7,7 +7,9 @@ mod check;
 mod secrets;
 mod sections;
 
-pub use sections::{Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, SourceKind, Spool, Windows};
+pub use sections::{
+    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, SourceKind, Spool, Views, Windows,
+};
 
 use crate::daemon::publish::TlsFiles;
 use secrets::{private, secret};

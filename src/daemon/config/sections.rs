@@ -1,6 +1,5 @@
 //! The sections of the configuration with their keys and defaults.
 
-use crate::daemon::views::Views;
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -54,6 +53,17 @@ impl Default for Model {
     fn default() -> Self {
         Self { file: PathBuf::from(DEFAULT_MODEL), score: None, views: Views::default() }
     }
+}
+
+/// Which parts of a picture are searched.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Views {
+    /// The road, and its far part once more where that makes far vehicles as large as near ones.
+    Auto,
+    /// The whole picture, once.
+    #[default]
+    Whole,
 }
 
 /// The model that is used when none is named, from the working directory.

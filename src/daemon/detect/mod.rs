@@ -14,6 +14,7 @@ mod merge;
 mod nms;
 mod onnx;
 mod operators;
+pub mod regions;
 mod sidecar;
 mod tail;
 

@@ -8,10 +8,9 @@
 //! How large a vehicle is follows from the width of its lane: lane pixels times the length of
 //! road that each spans is an area in pixels times metres, whichever way the lane runs.
 
-use super::frame::Region;
+use crate::daemon::frame::Region;
 use crate::lane::{Description, Place};
 use crate::units::{ImagePoint, ImageSize, LaneId};
-use serde::Deserialize;
 use std::fmt;
 
 /// Most parts of a picture that are searched.
@@ -33,17 +32,6 @@ const ABOVE: f32 = 1.1;
 const BELOW: f32 = 0.35;
 /// And along the lane: a car and a half, m. A longer vehicle at an end is cut off.
 const ALONG_M: f32 = 6.0;
-
-/// Which parts of a picture are searched.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum Views {
-    /// The road, and its far part once more where that makes far vehicles as large as near ones.
-    Auto,
-    /// The whole picture, once.
-    #[default]
-    Whole,
-}
 
 /// The parts of one table's pictures, the widest first; none: the whole picture.
 #[derive(Clone, Debug, PartialEq)]

@@ -29,7 +29,6 @@ pub mod metrics;
 mod notify;
 pub mod outlet;
 mod output;
-mod playback;
 pub mod publish;
 mod reload;
 pub mod scene;

@@ -3,13 +3,13 @@
 //! What is printed has gone through everything: frames from files, the model, the lane
 //! table, windows, MQTT over loopback, and JSON.
 
+use super::playback::play;
 use super::recording;
 use crate::daemon::assemble::open_recording;
 use crate::daemon::config::DEFAULT_MODEL;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::outlet::Outlet;
-use crate::daemon::playback::play;
 use crate::daemon::publish::loopback::{self, Subscriber};
 use crate::daemon::publish::{Format, MqttSettings};
 use serde_json::Value;

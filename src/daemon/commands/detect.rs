@@ -1,10 +1,10 @@
 //! `verge detect`: boxes of recorded frames, without a lane table.
 
+use super::playback::search;
 use super::{ModelArgs, text};
 use crate::daemon::assemble::open_detector;
 use crate::daemon::exit::Failure;
 use crate::daemon::output::WholeFile;
-use crate::daemon::playback::search;
 use std::path::PathBuf;
 
 /// Its arguments.

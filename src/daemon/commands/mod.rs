@@ -8,6 +8,7 @@ pub mod convert;
 #[cfg(feature = "demo")]
 pub mod demo;
 pub mod detect;
+mod playback;
 mod recording;
 pub mod replay;
 pub mod run;

@@ -1,5 +1,6 @@
 //! `verge replay`: density in recorded frames, the same bytes each time.
 
+use super::playback::play;
 use super::{ModelArgs, text};
 use crate::daemon::assemble::open_recording;
 use crate::daemon::config::Views;
@@ -7,7 +8,6 @@ use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
-use crate::daemon::playback::play;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;

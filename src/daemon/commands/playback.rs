@@ -3,17 +3,17 @@
 //! Owns what happens to frames that cannot be used: they are said, counted as missed, and
 //! only a recording of which nothing could be used is an error.
 
-use super::capture::{Captured, Recorded, Source};
-use super::exit::Failure;
-use super::frame::{Detection, Frame, Picture};
-use super::line::Line;
+use crate::daemon::capture::{Captured, Recorded, Source};
+use crate::daemon::exit::Failure;
+use crate::daemon::frame::{Detection, Frame, Picture};
+use crate::daemon::line::Line;
 use crate::density::{Closed, SampleZoneStatus};
 use crate::health::Event;
 use crate::lane::Description;
 
 /// Plays a recording through a line: each frame that was measured, and the windows as
 /// they close. Frames that cannot be measured are said and count as missed.
-pub(super) fn play(
+pub fn play(
     recorded: Recorded,
     line: &mut Line,
     mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
@@ -41,7 +41,7 @@ pub(super) fn play(
 }
 
 /// Searches a recording for vehicles. Frames that cannot be searched are said.
-pub(super) fn search(
+pub fn search(
     recorded: Recorded,
     mut detect: impl FnMut(&Picture, &mut Vec<Detection>) -> Result<(), Failure>,
     mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,

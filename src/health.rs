@@ -1,11 +1,11 @@
 //! Whether the sensor can be believed: picture faults, alarms, and the camera's power.
 //!
-//! Owns the rules by which faults become a status. Reads no clock and drives no pin: it is
+//! Owns the rules by which faults of pictures become an [`Alarm`]. Reads no clock and drives no pin: it is
 //! told the time since start and returns what to do. Judging the picture itself is done in
 //! [`crate::picture`] and [`crate::scene`].
 
+use crate::alarm::Alarm;
 use crate::density::SampleZoneStatus;
-use crate::picture::Flaw;
 use core::time::Duration;
 
 /// A frozen picture is noticed after this time, or after [`PERIODS`] of the camera where
@@ -40,72 +40,6 @@ pub enum Event {
     Withheld(Alarm),
     /// A new picture came that was not measured, and nothing is wrong yet.
     PassedOver,
-}
-
-/// An alarm that is raised and cleared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Alarm {
-    /// No picture for longer than the limit.
-    NoPicture,
-    /// The same picture for longer than the limit.
-    FrozenPicture,
-    /// Black pictures, or of one colour, for longer than the limit.
-    BlankPicture,
-    /// Sun, headlights or fog for longer than the limit.
-    BlindedPicture,
-    /// Nothing sharp in the pictures for longer than the limit.
-    BlurredPicture,
-    /// The camera looks at none of its presets.
-    CameraMoved,
-}
-
-impl Alarm {
-    /// All of them.
-    pub const ALL: [Self; 6] = [
-        Self::NoPicture,
-        Self::FrozenPicture,
-        Self::BlankPicture,
-        Self::BlindedPicture,
-        Self::BlurredPicture,
-        Self::CameraMoved,
-    ];
-
-    /// The alarm's name in topics.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::NoPicture => "no_picture",
-            Self::FrozenPicture => "frozen_picture",
-            Self::BlankPicture => "blank_picture",
-            Self::BlindedPicture => "blinded_picture",
-            Self::BlurredPicture => "blurred_picture",
-            Self::CameraMoved => "camera_moved",
-        }
-    }
-
-    /// How far a measurement can be used while it lasts.
-    pub const fn status(self) -> SampleZoneStatus {
-        match self {
-            Self::NoPicture | Self::BlankPicture => SampleZoneStatus::SensorFailure,
-            Self::FrozenPicture => SampleZoneStatus::InputDataIntegrity,
-            Self::BlindedPicture | Self::BlurredPicture => SampleZoneStatus::PoorContrast,
-            Self::CameraMoved => SampleZoneStatus::DetectionAutoSuspended,
-        }
-    }
-
-    /// Whether switching the camera off and on may help.
-    const fn is_of_camera(self) -> bool {
-        matches!(self, Self::NoPicture | Self::FrozenPicture | Self::BlankPicture)
-    }
-}
-
-impl From<Flaw> for Alarm {
-    fn from(flaw: Flaw) -> Self {
-        match flaw {
-            Flaw::Blank => Self::BlankPicture,
-            Flaw::Blinded => Self::BlindedPicture,
-            Flaw::Blurred => Self::BlurredPicture,
-        }
-    }
 }
 
 /// What follows from an event.

@@ -1,13 +1,14 @@
 //! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
 //!
-//! The core (`units`, `lane`, `density`, `wire`, `hal`, `health`, `fault`, `derate`, `picture`,
-//! `scene`) is `no_std` and never allocates: time and temperature come in as arguments,
+//! The core (`units`, `lane`, `density`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
+//! `picture`, `scene`) is `no_std` and never allocates: time and temperature come in as arguments,
 //! effects go out as returned values. `daemon`, behind the feature of that name, is the line from camera to broker.
 #![cfg_attr(not(feature = "daemon"), no_std)]
 
 #[cfg(test)]
 extern crate std;
 
+pub mod alarm;
 pub mod density;
 pub mod derate;
 pub mod fault;

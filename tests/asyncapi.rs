@@ -8,11 +8,11 @@ use std::fs;
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::time::Duration;
+use verge::alarm::Alarm;
 use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::{Format, Identity, MqttSettings, payload, window_name};
 use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
-use verge::health::Alarm;
 use verge::lane::{LaneTable, Name};
 use verge::units::{Direction, LaneId, UtcMs};
 use verge::wire::ModelRef;
@@ -88,8 +88,10 @@ fn the_document_is_whole() {
 fn alarms_and_windows_have_the_daemons_names() {
     let document = document();
     let alarms = &document["channels"]["alarm"]["parameters"]["alarm"]["enum"];
-    let known = [Alarm::NoPicture, Alarm::FrozenPicture].map(Alarm::name);
-    assert_eq!(alarms, &serde_json::json!(known));
+    assert_eq!(alarms, &serde_json::json!(Alarm::ALL.map(Alarm::name)));
+    let schema = fs::read_to_string("docs/schemas/alarm.schema.json").expect("it ships");
+    let schema: Value = serde_json::from_str(&schema).expect("JSON");
+    assert_eq!(&schema["properties"]["name"]["enum"], alarms, "in the schema");
     let windows = document["components"]["parameters"]["window"]["examples"].as_array();
     let named = [20, 60, 300, 900].map(|seconds| window_name(Duration::from_secs(seconds)));
     assert_eq!(windows, serde_json::json!(named).as_array());

@@ -12,10 +12,10 @@ use serde_json::Value;
 use std::path::{Path, PathBuf};
 use street::recording::{Recorder, calibration, write};
 use street::scene::Scene;
+use verge::alarm::Alarm;
 use verge::daemon::capture::decode;
 use verge::daemon::frame::Picture;
 use verge::daemon::scene::{Aiming, Scene as Judge, View};
-use verge::health::Alarm;
 use verge::scene::Reference;
 use verge::units::{ImagePoint, UtcMs};
 

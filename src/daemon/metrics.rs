@@ -8,8 +8,8 @@ use super::exit::Failure;
 use super::output::WholeFile;
 use super::publish::payload::{Health, status_name};
 use super::publish::window_name;
+use crate::alarm::Alarm;
 use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
-use crate::health::Alarm;
 use crate::units::Direction;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -52,8 +52,8 @@ impl Metrics {
     }
 
     /// Writes the file. One that cannot be written is said once and stops nothing.
-    pub fn write(&mut self, health: &Health<'_>, connected: bool) {
-        match self.try_write(health, connected) {
+    pub fn write(&mut self, health: &Health<'_>, alarms: &[Alarm], connected: bool) {
+        match self.try_write(health, alarms, connected) {
             Ok(()) => self.failed = false,
             Err(failure) => {
                 if !std::mem::replace(&mut self.failed, true) {
@@ -63,13 +63,18 @@ impl Metrics {
         }
     }
 
-    fn try_write(&self, health: &Health<'_>, connected: bool) -> Result<(), Failure> {
+    fn try_write(
+        &self,
+        health: &Health<'_>,
+        alarms: &[Alarm],
+        connected: bool,
+    ) -> Result<(), Failure> {
         let mut file = WholeFile::create(&self.file)?;
-        file.line(self.text(health, connected).trim_end())?;
+        file.line(self.text(health, alarms, connected).trim_end())?;
         file.finish()
     }
 
-    fn text(&self, health: &Health<'_>, connected: bool) -> String {
+    fn text(&self, health: &Health<'_>, alarms: &[Alarm], connected: bool) -> String {
         let mut text = Text::default();
         text.family("verge_build_info", "gauge", "Version and site of the sensor.");
         text.sample(&[("site", health.site), ("version", health.version)], 1);
@@ -84,8 +89,8 @@ impl Metrics {
             text.sample(&[("status", status)], u8::from(status == health.status));
         }
         text.family("verge_alarm_active", "gauge", "1 while the alarm is on.");
-        for alarm in Alarm::ALL.map(Alarm::name) {
-            text.sample(&[("alarm", alarm)], u8::from(health.alarm == Some(alarm)));
+        for alarm in Alarm::ALL {
+            text.sample(&[("alarm", alarm.name())], u8::from(alarms.contains(&alarm)));
         }
         let (frames, messages) = (health.frames, health.messages);
         text.family("verge_frames_total", "counter", "Pictures, by what became of them.");
@@ -291,7 +296,7 @@ mod tests {
         let mut metrics = Metrics::new(&path);
         metrics.note(&report());
         metrics.note_turn(Duration::from_millis(125));
-        metrics.write(&health(), true);
+        metrics.write(&health(), &[Alarm::NoPicture, Alarm::Overheated], true);
         let text = std::fs::read_to_string(&path).expect("written");
         assert!(text.ends_with('\n') && !text.contains("\n\n"));
         let samples = parsed(&text);
@@ -304,6 +309,8 @@ mod tests {
             ("verge_status{status=\"oK\"}", 0.0),
             ("verge_status{status=\"poorContrast\"}", 1.0),
             ("verge_alarm_active{alarm=\"no_picture\"}", 1.0),
+            ("verge_alarm_active{alarm=\"overheated\"}", 1.0),
+            ("verge_alarm_active{alarm=\"board_fault\"}", 0.0),
             ("verge_alarm_active{alarm=\"frozen_picture\"}", 0.0),
             ("verge_alarm_active{alarm=\"camera_moved\"}", 0.0),
             ("verge_frames_total{outcome=\"missing\"}", 3.0),
@@ -325,8 +332,8 @@ mod tests {
     #[test]
     fn a_file_that_cannot_be_written_stops_nothing() {
         let mut metrics = Metrics::new(Path::new("/proc/no/such/folder/verge.prom"));
-        metrics.write(&health(), false);
-        metrics.write(&health(), false);
+        metrics.write(&health(), &[], false);
+        metrics.write(&health(), &[], false);
         assert!(metrics.failed);
     }
 }

@@ -5,7 +5,7 @@
 //! ([`crate::picture`], [`crate::scene`]). After the first picture nothing is allocated.
 
 use super::frame::Picture;
-use crate::health::Alarm;
+use crate::alarm::Alarm;
 use crate::picture::{Before, Look};
 use crate::scene::{Aim, Cell, Eye, Grid, Guard, Judgement, Reference};
 use crate::units::{ImagePoint, UtcMs};

@@ -18,11 +18,12 @@ use super::publish::home_assistant::Announcement;
 use super::publish::payload::{self, Frames, status_name};
 use super::reload::Pending;
 use super::station::Station;
+use crate::alarm::Alarm;
 use crate::density::{Closed, SampleZoneStatus};
 use crate::derate::Pace;
 use crate::fault::Allowance;
 use crate::hal::{Switch, Thermometer, Watchdog};
-use crate::health::{Actions, Alarm, Event, Health};
+use crate::health::{Actions, Event, Health};
 use crate::units::UtcMs;
 use change::announcements;
 use report::pace_name;
@@ -156,7 +157,7 @@ impl Sensor {
         let interval = self.interval();
         self.station.line_mut().set_interval(interval);
         if (before == Pace::Full) != (pace == Pace::Full) {
-            self.tell_alarm("overheated", pace != Pace::Full);
+            self.tell_alarm(Alarm::Overheated, pace != Pace::Full);
         }
         self.health_sent = None;
     }
@@ -265,7 +266,7 @@ impl Sensor {
         };
         if self.board_broken != board.is_broken() {
             self.board_broken = board.is_broken();
-            self.tell_alarm("board_fault", self.board_broken);
+            self.tell_alarm(Alarm::BoardFault, self.board_broken);
             self.health_sent = None;
         }
         let alarm_before = self.actions.and_then(|before| before.alarm);
@@ -307,17 +308,25 @@ impl Sensor {
     }
 
     fn change_alarm(&self, alarm: Option<Alarm>, active: bool) {
-        let Some(name) = alarm.map(Alarm::name) else { return };
+        let Some(alarm) = alarm else { return };
         if active {
-            log::error!("alarm {name}: no density until it is over");
+            log::error!("alarm {}: no density until it is over", alarm.name());
         } else {
-            log::info!("alarm {name} is over");
+            log::info!("alarm {} is over", alarm.name());
         }
-        self.tell_alarm(name, active);
+        self.tell_alarm(alarm, active);
     }
 
-    fn tell_alarm(&self, name: &str, active: bool) {
-        let time = clock::rfc3339(clock::now());
+    /// The alarms that are on.
+    fn alarms(&self) -> Vec<Alarm> {
+        let of_pictures = self.actions.and_then(|actions| actions.alarm);
+        let heat = (self.pace != Pace::Full).then_some(Alarm::Overheated);
+        let board = self.board_broken.then_some(Alarm::BoardFault);
+        [of_pictures, heat, board].into_iter().flatten().collect()
+    }
+
+    fn tell_alarm(&self, alarm: Alarm, active: bool) {
+        let (name, time) = (alarm.name(), clock::rfc3339(clock::now()));
         self.outlet
             .publisher()
             .alarm(name, &payload::Alarm { site: &self.config.site, time, name, active });

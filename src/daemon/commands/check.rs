@@ -3,12 +3,13 @@
 //! Two pictures are judged as the running line would judge them. What it would withhold for
 //! longer than a moment fails the check, so that nobody leaves a camera that looks elsewhere.
 
+use crate::alarm::Alarm;
 use crate::daemon::assemble::{broker, first_picture, open_line};
 use crate::daemon::config::Config;
 use crate::daemon::exit::{self, Failure};
 use crate::daemon::publish::{self, payload::status_name};
 use crate::daemon::station::Station;
-use crate::health::{Alarm, Event};
+use crate::health::Event;
 use std::path::Path;
 use std::time::Duration;
 
@@ -91,6 +92,8 @@ fn withheld(alarm: Alarm) -> Failure {
         Alarm::BlindedPicture => "sun, headlights or fog: try again in other light",
         Alarm::BlurredPicture => "nothing in it is sharp: clean the lens, or focus it",
         Alarm::NoPicture => "there is none",
+        Alarm::Overheated => "the enclosure is too hot: shade it, air it",
+        Alarm::BoardFault => "a part of the board fails",
     };
     Failure::Withheld { reason: alarm.name(), status: status_name(alarm.status()), hint }
 }

@@ -11,7 +11,6 @@ use crate::daemon::line::Line;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::publish::home_assistant::{self, Announcement};
 use crate::daemon::reload::{Candidate, Pending};
-use crate::derate::Pace;
 use crate::health::Health;
 use std::time::Duration;
 
@@ -82,16 +81,7 @@ impl Sensor {
 
     /// Says the alarms that are on: a new broker knows of none.
     fn say_alarms(&self) {
-        if let Some(alarm) = self.actions.and_then(|actions| actions.alarm) {
-            self.tell_alarm(alarm.name(), true);
-        }
-        for (name, active) in
-            [("overheated", self.pace != Pace::Full), ("board_fault", self.board_broken)]
-        {
-            if active {
-                self.tell_alarm(name, true);
-            }
-        }
+        self.alarms().into_iter().for_each(|alarm| self.tell_alarm(alarm, true));
     }
 }
 

@@ -1,13 +1,14 @@
 //! The sensor's health as it is published, and written for Prometheus.
 
 use super::Sensor;
+use crate::alarm::Alarm;
 use crate::daemon::board::Driven;
 use crate::daemon::clock;
 use crate::daemon::line::Line;
 use crate::daemon::publish::payload::{self, Messages, Stream, status_name};
 use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
-use crate::health::{Actions, Alarm};
+use crate::health::Actions;
 use crate::units::UtcMs;
 
 impl Sensor {
@@ -66,9 +67,9 @@ impl Sensor {
             last_fault: fault.as_deref(),
         };
         self.outlet.publisher().health(&health);
-        let is_open = self.outlet.is_open();
+        let (alarms, is_open) = (self.alarms(), self.outlet.is_open());
         if let Some(metrics) = &mut self.metrics {
-            metrics.write(&health, is_open);
+            metrics.write(&health, &alarms, is_open);
         }
     }
 }

@@ -2,8 +2,9 @@
 //!
 //! The core (`units`, `lane`, `density`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
 //! `picture`, `scene`) is `no_std` and never allocates: time and temperature come in as arguments,
-//! effects go out as returned values. `daemon`, behind the feature of that name, is the line from camera to broker.
-#![cfg_attr(not(feature = "daemon"), no_std)]
+//! effects go out as returned values. Behind the features of their names, `messages` turns the
+//! core's values into messages, and `daemon` is the line from camera to broker.
+#![cfg_attr(not(feature = "messages"), no_std)]
 
 #[cfg(test)]
 extern crate std;
@@ -15,6 +16,8 @@ pub mod fault;
 pub mod hal;
 pub mod health;
 pub mod lane;
+#[cfg(feature = "messages")]
+pub mod messages;
 pub mod picture;
 pub mod scene;
 pub mod units;

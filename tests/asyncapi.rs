@@ -1,5 +1,5 @@
 //! `docs/asyncapi.json` says what is published: every topic that comes, and no schema that
-//! is not used.
+//! is not used. That it is the one generated from the types is `messages/tests`'s to check.
 #![cfg(feature = "demo")]
 
 use serde_json::Value;
@@ -8,14 +8,14 @@ use std::fs;
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::time::Duration;
-use verge::alarm::Alarm;
 use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
-use verge::daemon::publish::{Format, Identity, MqttSettings, payload, window_name};
+use verge::daemon::publish::{Format, Identity, MqttSettings, payload};
 use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
 use verge::lane::{LaneTable, Name};
 use verge::units::{Direction, LaneId, UtcMs};
 use verge::wire::ModelRef;
+use verge_messages::Alarm;
 
 const ROOT: &str = "verge/k109f";
 
@@ -82,19 +82,6 @@ fn the_document_is_whole() {
     let channels: BTreeSet<_> =
         entries(&document, "channels").map(|(name, _)| format!("#/channels/{name}")).collect();
     assert_eq!(sent, channels, "every channel has its operation");
-}
-
-#[test]
-fn alarms_and_windows_have_the_daemons_names() {
-    let document = document();
-    let alarms = &document["channels"]["alarm"]["parameters"]["alarm"]["enum"];
-    assert_eq!(alarms, &serde_json::json!(Alarm::ALL.map(Alarm::name)));
-    let schema = fs::read_to_string("docs/schemas/alarm.schema.json").expect("it ships");
-    let schema: Value = serde_json::from_str(&schema).expect("JSON");
-    assert_eq!(&schema["properties"]["name"]["enum"], alarms, "in the schema");
-    let windows = document["components"]["parameters"]["window"]["examples"].as_array();
-    let named = [20, 60, 300, 900].map(|seconds| window_name(Duration::from_secs(seconds)));
-    assert_eq!(windows, serde_json::json!(named).as_array());
 }
 
 /// The channel that a topic belongs to.
@@ -176,25 +163,36 @@ fn what_is_published_stands_in_the_document() {
     }
     outlet.density(&report(), true);
     let publisher = outlet.publisher();
-    let time = || "2026-01-05T08:00:00.000Z".to_owned();
+    let time = verge_messages::Utc(1_767_600_000_000);
     publisher.health(&payload::Health {
-        site: "k109f",
-        time: time(),
-        version: "0.1.0",
-        status: "oK",
+        schema: payload::Schema::default(),
+        site: "k109f".into(),
+        time,
+        version: "0.1.0".into(),
+        status: verge_messages::Status::Ok,
         alarm: None,
         uptime_s: 5,
         clock_synced: true,
         frames: payload::Frames::default(),
         stream: payload::Stream::default(),
         camera: None,
-        board: payload::Board { pace: "full", ..payload::Board::default() },
+        board: payload::Board {
+            enclosure_c: None,
+            pace: payload::Pace::Full,
+            faults: payload::BoardFaults::default(),
+            last_fault: None,
+        },
         stage_faults: 0,
         messages: payload::Messages::default(),
         last_fault: None,
     });
-    let name = Alarm::NoPicture.name();
-    publisher.alarm(name, &payload::Alarm { site: "k109f", time: time(), name, active: true });
+    publisher.alarm(&payload::AlarmMessage {
+        schema: payload::Schema::default(),
+        site: "k109f".into(),
+        time,
+        name: Alarm::NoPicture,
+        active: true,
+    });
     outlet.stop();
     let mut seen = BTreeSet::new();
     loop {

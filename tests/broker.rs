@@ -19,6 +19,7 @@ use verge::density::{Aggregator, Start, WindowReport};
 use verge::lane::LaneTable;
 use verge::units::{LaneId, UtcMs, VehicleClass};
 use verge::wire::{self, ModelRef};
+use verge_messages::{Alarm, Status, Utc};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 const MINUTE: Duration = Duration::from_secs(60);
@@ -78,25 +79,31 @@ fn validate(schema: &str, message: &Value) {
     assert!(errors.is_empty(), "{errors:#?} in {message:#}");
 }
 
-fn health() -> payload::Health<'static> {
+fn health() -> payload::Health {
     payload::Health {
-        site: "k109f",
-        time: "2026-01-05T08:00:00.000Z".into(),
-        version: "0.1.0",
-        status: "oK",
+        schema: payload::Schema::default(),
+        site: "k109f".into(),
+        time: Utc(1_767_600_000_000),
+        version: "0.1.0".into(),
+        status: Status::Ok,
         alarm: None,
         uptime_s: 5,
         clock_synced: true,
         camera: Some(payload::Camera {
-            aim: "in_place",
-            preset: "joint-01020304",
+            aim: payload::Aim::InPlace,
+            preset: "joint-01020304".into(),
             shift_px: Some([0.4, -1.2]),
-            light: Some("day"),
+            light: Some(payload::Light::Day),
         }),
         frames: payload::Frames::default(),
         stream: payload::Stream::default(),
         messages: payload::Messages::default(),
-        board: payload::Board { pace: "full", ..payload::Board::default() },
+        board: payload::Board {
+            enclosure_c: None,
+            pace: payload::Pace::Full,
+            faults: payload::BoardFaults::default(),
+            last_fault: None,
+        },
         stage_faults: 0,
         last_fault: None,
     }
@@ -112,15 +119,13 @@ fn messages_arrive_in_order_and_match_their_schemas() {
         outlet.density(&report, true);
     }
     outlet.publisher().health(&health());
-    outlet.publisher().alarm(
-        "no_picture",
-        &payload::Alarm {
-            site: "k109f",
-            time: "2026-01-05T08:00:00.000Z".into(),
-            name: "no_picture",
-            active: true,
-        },
-    );
+    outlet.publisher().alarm(&payload::AlarmMessage {
+        schema: payload::Schema::default(),
+        site: "k109f".into(),
+        time: Utc(1_767_600_000_000),
+        name: Alarm::NoPicture,
+        active: true,
+    });
     outlet.stop();
     let mut topics = Vec::new();
     let mut seqs = Vec::new();

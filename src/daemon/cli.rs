@@ -38,6 +38,7 @@ enum Command {
     /// Find vehicles in recorded frames, without a lane table
     Detect(commands::detect::Args),
     /// Rewrite published messages for a traffic centre: FIWARE, DATEX II, NTCIP, CSV
+    #[cfg(feature = "desk")]
     Convert(commands::convert::Args),
     /// Time every stage; prints JSON
     Bench(commands::bench::Args),
@@ -78,6 +79,7 @@ where
         Command::Check { config } => commands::check::run(&config),
         Command::Replay(args) => commands::replay::run(&args),
         Command::Detect(args) => commands::detect::run(&args),
+        #[cfg(feature = "desk")]
         Command::Convert(args) => commands::convert::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         Command::Man => manual(),

@@ -6,16 +6,16 @@
 
 use super::exit::Failure;
 use super::output::WholeFile;
-use super::publish::payload::{Health, status_name};
+use super::publish::payload::Health;
 use super::publish::window_name;
 use crate::alarm::Alarm;
-use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
-use crate::units::Direction;
+use crate::density::{LaneReport, WindowReport};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use verge_messages::{Direction, Status};
 
 /// What the configuration says of it.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -52,7 +52,7 @@ impl Metrics {
     }
 
     /// Writes the file. One that cannot be written is said once and stops nothing.
-    pub fn write(&mut self, health: &Health<'_>, alarms: &[Alarm], connected: bool) {
+    pub fn write(&mut self, health: &Health, alarms: &[Alarm], connected: bool) {
         match self.try_write(health, alarms, connected) {
             Ok(()) => self.failed = false,
             Err(failure) => {
@@ -63,21 +63,16 @@ impl Metrics {
         }
     }
 
-    fn try_write(
-        &self,
-        health: &Health<'_>,
-        alarms: &[Alarm],
-        connected: bool,
-    ) -> Result<(), Failure> {
+    fn try_write(&self, health: &Health, alarms: &[Alarm], connected: bool) -> Result<(), Failure> {
         let mut file = WholeFile::create(&self.file)?;
         file.line(self.text(health, alarms, connected).trim_end())?;
         file.finish()
     }
 
-    fn text(&self, health: &Health<'_>, alarms: &[Alarm], connected: bool) -> String {
+    fn text(&self, health: &Health, alarms: &[Alarm], connected: bool) -> String {
         let mut text = Text::default();
         text.family("verge_build_info", "gauge", "Version and site of the sensor.");
-        text.sample(&[("site", health.site), ("version", health.version)], 1);
+        text.sample(&[("site", &health.site), ("version", &health.version)], 1);
         text.family("verge_uptime_seconds", "gauge", "Time since the daemon's start.");
         text.sample(&[], health.uptime_s);
         text.family("verge_clock_synchronized", "gauge", "1: a time source has set the clock.");
@@ -85,8 +80,8 @@ impl Metrics {
         text.family("verge_broker_connected", "gauge", "1: the connection to the broker stands.");
         text.sample(&[], u8::from(connected));
         text.family("verge_status", "gauge", "1 for the sensor's NTCIP 1209 status, 0 for others.");
-        for status in STATUSES.map(status_name) {
-            text.sample(&[("status", status)], u8::from(status == health.status));
+        for status in Status::ALL {
+            text.sample(&[("status", status.name())], u8::from(status == health.status));
         }
         text.family("verge_alarm_active", "gauge", "1 while the alarm is on.");
         for alarm in Alarm::ALL {
@@ -160,11 +155,7 @@ impl Metrics {
                 let window = window_name(*length);
                 for lane in &report.lanes {
                     let Some(value) = value(lane) else { continue };
-                    let direction = match lane.direction {
-                        Direction::Unknown => "unknown",
-                        Direction::Toward => "toward",
-                        Direction::Away => "away",
-                    };
+                    let direction = Direction::from(lane.direction).name();
                     let number = lane.lane.get().to_string();
                     let labels = [
                         ("window", window.as_str()),
@@ -177,14 +168,6 @@ impl Metrics {
         }
     }
 }
-
-const STATUSES: [SampleZoneStatus; 5] = [
-    SampleZoneStatus::Ok,
-    SampleZoneStatus::SensorFailure,
-    SampleZoneStatus::InputDataIntegrity,
-    SampleZoneStatus::PoorContrast,
-    SampleZoneStatus::DetectionAutoSuspended,
-];
 
 /// Text in the exposition format, and the family that samples belong to.
 #[derive(Default)]
@@ -214,8 +197,9 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::publish::payload::{Board, Frames, Messages, Stream};
-    use crate::units::{LaneId, UtcMs};
+    use crate::daemon::publish::payload::{Board, BoardFaults, Frames, Messages, Schema, Stream};
+    use crate::density::SampleZoneStatus;
+    use crate::units::{Direction, LaneId, UtcMs};
     use std::collections::{BTreeSet, HashMap};
 
     fn report() -> WindowReport {
@@ -240,19 +224,25 @@ mod tests {
         }
     }
 
-    fn health() -> Health<'static> {
+    fn health() -> Health {
         Health {
-            site: "a \"b\" \\",
-            time: "2026-01-05T08:00:00.000Z".into(),
-            version: "0.1.0",
-            status: "poorContrast",
-            alarm: Some("no_picture"),
+            schema: Schema::default(),
+            site: "a \"b\" \\".into(),
+            time: verge_messages::Utc(1_767_600_000_000),
+            version: "0.1.0".into(),
+            status: Status::PoorContrast,
+            alarm: Some(verge_messages::Alarm::NoPicture),
             uptime_s: 75,
             clock_synced: true,
             frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3, withheld: 8 },
             stream: Stream::default(),
             camera: None,
-            board: Board::default(),
+            board: Board {
+                enclosure_c: None,
+                pace: crate::daemon::publish::payload::Pace::Half,
+                faults: BoardFaults::default(),
+                last_fault: None,
+            },
             stage_faults: 0,
             messages: Messages { delivered: 4, waiting: 5, dropped: 6, ..Messages::default() },
             last_fault: None,
@@ -327,6 +317,24 @@ mod tests {
         }
         let densities = samples.keys().filter(|series| series.starts_with(density)).count();
         assert_eq!(densities, 1, "a lane without density has no sample");
+    }
+
+    #[test]
+    fn the_document_has_every_family() {
+        let mut metrics = Metrics::new(Path::new("nowhere"));
+        metrics.note(&report());
+        metrics.note_turn(Duration::from_millis(125));
+        let text = metrics.text(&health(), &Alarm::ALL, true);
+        let written: BTreeSet<&str> = text
+            .lines()
+            .filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next())
+            .collect();
+        let document = std::fs::read_to_string("docs/formats.md").expect("it ships");
+        let (_, section) = document.split_once("## Prometheus").expect("a section of its own");
+        let section = section.split("\n## ").next().unwrap_or_default();
+        let documented: BTreeSet<&str> =
+            section.split('`').filter(|word| word.starts_with("verge_")).collect();
+        assert_eq!(documented, written, "docs/formats.md, and what is written");
     }
 
     #[test]

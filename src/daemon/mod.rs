@@ -21,7 +21,6 @@ pub mod config;
 pub mod counting;
 pub mod detect;
 pub mod exit;
-pub mod export;
 pub mod frame;
 pub mod line;
 pub mod locate;

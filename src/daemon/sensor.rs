@@ -26,7 +26,6 @@ use crate::hal::{Switch, Thermometer, Watchdog};
 use crate::health::{Actions, Event, Health};
 use crate::units::UtcMs;
 use change::announcements;
-use report::pace_name;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
@@ -153,7 +152,7 @@ impl Sensor {
         if before == pace {
             return;
         }
-        log::warn!("the enclosure's temperature sets the pace: {}", pace_name(pace));
+        log::warn!("the enclosure's temperature sets the pace: {}", report::pace(pace).name());
         let interval = self.interval();
         self.station.line_mut().set_interval(interval);
         if (before == Pace::Full) != (pace == Pace::Full) {
@@ -326,10 +325,13 @@ impl Sensor {
     }
 
     fn tell_alarm(&self, alarm: Alarm, active: bool) {
-        let (name, time) = (alarm.name(), clock::rfc3339(clock::now()));
-        self.outlet
-            .publisher()
-            .alarm(name, &payload::Alarm { site: &self.config.site, time, name, active });
+        self.outlet.publisher().alarm(&payload::AlarmMessage {
+            schema: payload::Schema::default(),
+            site: self.config.site.clone(),
+            time: clock::now().into(),
+            name: alarm.into(),
+            active,
+        });
     }
 
     /// What is wrong: with the pictures first, else with a new configuration.

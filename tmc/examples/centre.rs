@@ -136,12 +136,15 @@ fn measure(street: &mut Simulation, site: &str, window: u64) -> Value {
                 "status": "oK", "cells": {"length_m": cell_m, "density_veh_km": by_cell}})
         })
         .collect();
-    let (hour, minute) = (8 + window / 60, window % 60);
-    let from = format!("2026-01-{:02}T{:02}:{minute:02}:00.000Z", 5 + hour / 24, hour % 24);
-    json!({"schema": 1, "site": site, "seq": window + 1, "window_s": WINDOW_S, "from": from,
-        "to": "", "clock_synced": true, "lanes": lanes,
-        "calibration": {"id": "street", "sha256": "", "rel_err": null},
-        "model": {"name": "truth", "sha256": ""}})
+    let minutes = |window: u64| {
+        let (hour, minute) = (8 + window / 60, window % 60);
+        format!("2026-01-{:02}T{:02}:{minute:02}:00.000Z", 5 + hour / 24, hour % 24)
+    };
+    let unknown = "0".repeat(64);
+    json!({"schema": 1, "site": site, "seq": window + 1, "window_s": WINDOW_S, "from": minutes(window),
+        "to": minutes(window + 1), "clock_synced": true, "lanes": lanes,
+        "calibration": {"id": "street", "sha256": unknown, "rel_err": null},
+        "model": {"name": "truth", "sha256": unknown}})
 }
 
 /// A broker on a free port of the loopback address, until the program ends.

@@ -72,12 +72,16 @@ fn message(number: usize, minute: usize) -> String {
             (number + minute + lane) % 90
         );
     }
-    let (hour, minute_of) = (minute / 60 % 24, minute % 60);
+    let time = |minute: usize| {
+        let (day, hour) = (5 + minute / 1440, minute / 60 % 24);
+        format!("2026-01-{day:02}T{hour:02}:{:02}:00.000Z", minute % 60)
+    };
+    let (from, to, sha256) = (time(minute), time(minute + 1), "0".repeat(64));
     format!(
         "{{\"schema\":1,\"site\":\"box{number:05}\",\"seq\":{},\"window_s\":60,\
-         \"from\":\"2026-01-05T{hour:02}:{minute_of:02}:00.000Z\",\"to\":\"\",\
+         \"from\":\"{from}\",\"to\":\"{to}\",\
          \"clock_synced\":true,\"lanes\":[{lanes}],\"calibration\":{{\"id\":\"a\",\
-         \"sha256\":\"\",\"rel_err\":0.02}},\"model\":{{\"name\":\"m\",\"sha256\":\"\"}}}}",
+         \"sha256\":\"{sha256}\",\"rel_err\":0.02}},\"model\":{{\"name\":\"m\",\"sha256\":\"{sha256}\"}}}}",
         minute + 1
     )
 }

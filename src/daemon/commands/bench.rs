@@ -1,13 +1,17 @@
 //! `verge bench`: what each stage takes, as JSON.
 
-use super::{ModelArgs, compare, recording};
+#[cfg(feature = "desk")]
+use super::compare;
+use super::{ModelArgs, recording};
 use crate::daemon::assemble::open_endless;
 use crate::daemon::config::Views;
 use crate::daemon::counting::Counting;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::{LineSettings, StageTimes};
 use crate::units::{ImagePoint, ImageSize};
-use serde_json::{Value, json};
+#[cfg(feature = "desk")]
+use serde_json::Value;
+use serde_json::json;
 use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -33,6 +37,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 50)]
     count: usize,
     /// Run ONNX Runtime (python3 with the package onnxruntime) on the same model and picture
+    #[cfg(feature = "desk")]
     #[arg(long)]
     compare_onnxruntime: bool,
 }
@@ -61,6 +66,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         (0..args.count.max(1)).map(|_| station.turn_timed()).collect::<Result<_, _>>()?;
     let stage = |pick: fn(&StageTimes) -> Duration| median_ms(stages.iter().map(pick));
     let peak_rss = peak_rss_mb();
+    #[cfg_attr(not(feature = "desk"), expect(unused_mut, reason = "the comparison adds to it"))]
     let mut report = json!({
         "frames": stages.len(),
         "picture": station.line().counting().table().image_size.to_string(),
@@ -77,6 +83,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         "cold_start_ms": round(cold_start.as_secs_f64() * 1e3),
         "peak_rss_mb": peak_rss,
     });
+    #[cfg(feature = "desk")]
     if args.compare_onnxruntime {
         let picture = station.frame().picture.clone();
         let model = args.model.model.clone();

@@ -2,14 +2,54 @@
 
 use crate::daemon::clock;
 use crate::daemon::exit::Failure;
-use crate::daemon::export::{Exporter, MessageForm, Place, Target, read};
 use crate::daemon::output::WholeFile;
+use crate::messages;
+use crate::wire;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
+use verge_messages::Density;
+use verge_messages::formats::{Exporter, Format, Place};
 
 /// Longest line that is read, bytes: several times the largest message in JSON.
 const MAX_LINE: usize = 64 << 10;
+
+/// The formats, with what each writes.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Target {
+    /// FIWARE `TrafficFlowObserved`, NGSI-LD key values: one JSON array a message.
+    Fiware,
+    /// DATEX II v3 `MeasuredDataPublication`: one XML document.
+    Datex2,
+    /// The values of NTCIP 1209: one JSON object a lane and window.
+    Ntcip,
+    /// One row a lane and window, RFC 4180.
+    Csv,
+    /// The daemon's own JSON: one object a message.
+    Json,
+}
+
+impl From<Target> for Format {
+    fn from(target: Target) -> Self {
+        match target {
+            Target::Fiware => Self::Fiware,
+            Target::Datex2 => Self::Datex2,
+            Target::Ntcip => Self::Ntcip,
+            Target::Csv => Self::Csv,
+            Target::Json => Self::Json,
+        }
+    }
+}
+
+/// How messages stand in the input, one a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+enum Form {
+    /// JSON, as `mosquitto_sub` prints it, with the topic in front (`-v`) or without.
+    #[default]
+    Json,
+    /// Postcard in hexadecimal, as `mosquitto_sub -F %x` prints it.
+    Postcard,
+}
 
 /// Its arguments.
 #[derive(Debug, clap::Args)]
@@ -19,7 +59,7 @@ pub struct Args {
     to: Target,
     /// How messages stand in the input, one a line
     #[arg(long, value_enum, default_value_t)]
-    from: MessageForm,
+    from: Form,
     /// The messages [default: standard input]
     #[arg(value_name = "FILE")]
     input: Option<PathBuf>,
@@ -55,10 +95,10 @@ fn urn(text: &str) -> Result<String, String> {
 /// others are converted, and the program ends with 65.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let place = Place { road_segment: args.road_segment.clone(), country: args.country.clone() };
-    let exporter = Exporter::new(args.to, place);
+    let exporter = Exporter::new(args.to.into(), place);
     let (name, mut input) = open(args.input.as_deref())?;
     let mut output = Output::open(args.out.as_deref())?;
-    exporter.begin(clock::now()).map_or(Ok(()), |head| output.line(&head))?;
+    exporter.begin(clock::now().into()).map_or(Ok(()), |head| output.line(&head))?;
     let (mut line, mut number, mut bad) = (Vec::new(), 0, 0);
     loop {
         number += 1;
@@ -67,7 +107,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let message = match whole {
             Line::End => break,
             Line::Whole if line.trim_ascii().is_empty() => continue,
-            Line::Whole => read(args.from, &line).map_err(|error| error.to_string()),
+            Line::Whole => read(args.from, &line),
             Line::TooLong => Err(format!("a line of more than {MAX_LINE} bytes")),
         };
         match message {
@@ -81,6 +121,37 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     exporter.end().map_or(Ok(()), |tail| output.line(&tail))?;
     output.finish()?;
     if bad > 0 { Err(Failure::Messages { bad, lines: number - 1 }) } else { Ok(()) }
+}
+
+/// Reads one message and checks it.
+fn read(form: Form, line: &[u8]) -> Result<Density, String> {
+    match form {
+        Form::Json => {
+            // `mosquitto_sub -v` prints the topic first, and no topic of ours has a brace.
+            let begin = line.iter().position(|&byte| byte == b'{').unwrap_or(0);
+            let json = line.get(begin..).unwrap_or_default();
+            verge_messages::read(json).map_err(|error| error.to_string())
+        }
+        Form::Postcard => {
+            let message = wire::decode(&unhex(line)?).map_err(|error| error.to_string())?;
+            let density = messages::density(&message, None);
+            density.check().map_err(|wrong| wrong.to_string())?;
+            Ok(density)
+        }
+    }
+}
+
+/// Bytes from hexadecimal, spaces around it passed over.
+fn unhex(text: &[u8]) -> Result<Vec<u8>, String> {
+    let text = text.trim_ascii();
+    let digit = |at: usize| {
+        let byte = text.get(at).copied().unwrap_or_default();
+        char::from(byte).to_digit(16).map(|digit| digit as u8).ok_or_else(|| {
+            let at = at + 1;
+            format!("not hexadecimal at character {at}; print messages with `mosquitto_sub -F %x`")
+        })
+    };
+    (0..text.len()).step_by(2).map(|at| Ok(digit(at)? << 4 | digit(at + 1)?)).collect()
 }
 
 fn open(path: Option<&Path>) -> Result<(PathBuf, Box<dyn BufRead>), Failure> {
@@ -149,6 +220,14 @@ impl Output {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn postcard_is_read_from_hexadecimal() {
+        let read = |text: &str| read(Form::Postcard, text.as_bytes()).expect_err("no message");
+        assert!(read("01zz").starts_with("not hexadecimal at character 3"));
+        assert!(read("012").starts_with("not hexadecimal at character 4"));
+        assert!(read("0300000000").starts_with("message format 3"));
+    }
 
     #[test]
     fn a_line_that_is_too_long_is_read_over() {

@@ -3,7 +3,9 @@
 
 pub mod bench;
 pub mod check;
+#[cfg(feature = "desk")]
 mod compare;
+#[cfg(feature = "desk")]
 pub mod convert;
 #[cfg(feature = "demo")]
 pub mod demo;

@@ -4,11 +4,11 @@
 //! density of the shortest window, and one `binary_sensor` for the connection. Home
 //! Assistant reads the daemon's own topics; nothing else is published for it.
 
-use super::window_name;
 use crate::lane::Lane;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::time::Duration;
+use verge_messages::Topic;
 
 /// What the configuration says of it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -47,7 +47,7 @@ pub fn announcements(
     windows: &[Duration],
 ) -> Vec<Announcement> {
     let id = format!("verge_{}", plain(site));
-    let presence = format!("{root}/presence");
+    let presence = Topic::Presence.under(root);
     let common = json!({
         "device": {
             "identifiers": [id],
@@ -84,7 +84,7 @@ pub fn announcements(
     for lane in lanes {
         let number = lane.id.get();
         let of_lane = format!("value_json.lanes | selectattr('lane', 'eq', {number})");
-        let topic = format!("{root}/density/{}", window_name(*window));
+        let topic = Topic::Density(*window).under(root);
         let density = json!({
             "name": format!("Lane {number} density"),
             "state_topic": topic,

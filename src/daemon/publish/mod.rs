@@ -1,8 +1,7 @@
 //! Publish: the last stage, from a window to messages at the broker.
 //!
-//! Owns topics, formats and the rate of replay. What is kept until it has arrived is the
-//! spool's; the connection is `mqtt`'s; what the messages look like in JSON stands in
-//! [`payload`].
+//! Owns which message goes when, and the rate of replay. What is kept until it has arrived is
+//! the spool's; the connection is `mqtt`'s; topics and JSON are those of `verge_messages`.
 
 pub mod home_assistant;
 #[cfg(feature = "demo")]
@@ -11,6 +10,7 @@ mod mqtt;
 pub mod payload;
 
 pub use mqtt::{MqttSettings, MqttVersion, Tls, TlsError, TlsFiles, probe};
+pub use verge_messages::window_name;
 
 use crate::density::WindowReport;
 use crate::lane::{Description, Name};
@@ -19,6 +19,7 @@ use mqtt::{Connection, Message, Report};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
+use verge_messages::Topic;
 
 /// How long a stop waits for the broker to take what is left.
 const DRAIN: Duration = Duration::from_secs(3);
@@ -97,14 +98,6 @@ fn short_name(text: &str) -> Name {
     name
 }
 
-/// The window's name in topics: `60s`, `5min`.
-pub fn window_name(length: Duration) -> String {
-    match length.as_secs() {
-        seconds if seconds >= 300 && seconds % 60 == 0 => format!("{}min", seconds / 60),
-        seconds => format!("{seconds}s"),
-    }
-}
-
 /// What has become of the connection and of the windows given to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
@@ -166,7 +159,7 @@ impl Publisher {
             return false;
         };
         self.live.insert(key);
-        let topic = self.topic("density", message);
+        let topic = Topic::Density(length(message)).under(&self.root);
         let payload = self.payload(message, None);
         self.connection.window(session, key, true, Message { topic, payload, retain: false });
         true
@@ -191,7 +184,7 @@ impl Publisher {
         let Some(session) = self.session else { return };
         self.allowance.0 -= 1.0;
         self.arrears.insert(key);
-        let topic = self.topic("replay/density", message);
+        let topic = Topic::Replay(length(message)).under(&self.root);
         let payload = self.payload(message, Some(done));
         let send = |key, topic, payload| {
             let message = Message { topic, payload, retain: false };
@@ -226,13 +219,13 @@ impl Publisher {
     }
 
     /// Sends the state of the sensor, kept by the broker for those who come later.
-    pub fn health(&self, health: &payload::Health<'_>) {
-        self.state("health", payload::health(health));
+    pub fn health(&self, health: &payload::Health) {
+        self.state(Topic::Health, verge_messages::json(health));
     }
 
     /// Raises or clears an alarm, kept by the broker.
-    pub fn alarm(&self, name: &str, alarm: &payload::Alarm<'_>) {
-        self.state(&format!("alarm/{name}"), payload::alarm(alarm));
+    pub fn alarm(&self, alarm: &payload::AlarmMessage) {
+        self.state(Topic::Alarm(alarm.name), verge_messages::json(alarm));
     }
 
     /// Says to Home Assistant what there is to read; kept by the broker.
@@ -260,15 +253,9 @@ impl Publisher {
         })
     }
 
-    fn state(&self, topic: &str, payload: Vec<u8>) {
-        let topic = format!("{}/{topic}", self.root);
-        self.connection.state(Message { topic, payload, retain: true });
-    }
-
-    fn topic(&self, kind: &str, message: &DensityMessage) -> String {
-        let report = &message.report;
-        let window = window_name(report.to.saturating_since(report.from));
-        format!("{}/{kind}/{window}", self.root)
+    fn state(&self, topic: Topic, payload: Vec<u8>) {
+        let retain = topic.is_retained();
+        self.connection.state(Message { topic: topic.under(&self.root), payload, retain });
     }
 
     fn payload(&self, message: &DensityMessage, done: Option<bool>) -> Vec<u8> {
@@ -283,18 +270,14 @@ impl Publisher {
     }
 }
 
+/// The length of a message's window.
+const fn length(message: &DensityMessage) -> Duration {
+    message.report.to.saturating_since(message.report.from)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn windows_have_the_names_of_the_design() {
-        for (seconds, name) in
-            [(10, "10s"), (60, "60s"), (120, "120s"), (300, "5min"), (900, "15min")]
-        {
-            assert_eq!(window_name(Duration::from_secs(seconds)), name);
-        }
-    }
 
     #[test]
     fn long_names_are_cut_between_characters() {

@@ -1,15 +1,14 @@
 //! The sensor's health as it is published, and written for Prometheus.
 
 use super::Sensor;
-use crate::alarm::Alarm;
 use crate::daemon::board::Driven;
 use crate::daemon::clock;
 use crate::daemon::line::Line;
-use crate::daemon::publish::payload::{self, Messages, Stream, status_name};
+use crate::daemon::publish::payload::{self, Messages, Stream};
+use crate::daemon::scene::Aiming;
 use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
 use crate::health::Actions;
-use crate::units::UtcMs;
 
 impl Sensor {
     pub(super) fn publish_health<L, R, W, T>(
@@ -22,19 +21,18 @@ impl Sensor {
         W: Watchdog,
         T: Thermometer,
     {
-        let now: UtcMs = clock::now();
         let (delivered, refused) = self.outlet.publisher().counts();
         let spool = self.outlet.counts();
         let stream = self.station.stream_counts();
         let faults = board.faults();
-        let fault = self.fault().map(str::to_owned);
         let line = self.station.line();
         let health = payload::Health {
-            site: &self.config.site,
-            time: clock::rfc3339(now),
-            version: env!("CARGO_PKG_VERSION"),
-            status: status_name(actions.status),
-            alarm: actions.alarm.map(Alarm::name),
+            schema: payload::Schema::default(),
+            site: self.config.site.clone(),
+            time: clock::now().into(),
+            version: env!("CARGO_PKG_VERSION").into(),
+            status: actions.status.into(),
+            alarm: actions.alarm.map(Into::into),
             uptime_s: self.since_start().as_secs(),
             clock_synced: clock::is_synchronised(),
             camera: camera(line),
@@ -54,17 +52,17 @@ impl Sensor {
             },
             board: payload::Board {
                 enclosure_c: board.enclosure_c(),
-                pace: pace_name(self.pace),
+                pace: pace(self.pace),
                 faults: payload::BoardFaults {
                     status_led: faults.status_led,
                     camera_power: faults.camera_power,
                     watchdog: faults.watchdog,
                     thermometer: faults.thermometer,
                 },
-                last_fault: board.last_fault(),
+                last_fault: board.last_fault().map(str::to_owned),
             },
             stage_faults: self.stage_faults.faults(),
-            last_fault: fault.as_deref(),
+            last_fault: self.fault().map(str::to_owned),
         };
         self.outlet.publisher().health(&health);
         let (alarms, is_open) = (self.alarms(), self.outlet.is_open());
@@ -74,21 +72,32 @@ impl Sensor {
     }
 }
 
-fn camera(line: &Line) -> Option<payload::Camera<'_>> {
+fn camera(line: &Line) -> Option<payload::Camera> {
     let scene = line.scene()?;
     let tenths = |px: f32| (px * 10.0).round() / 10.0;
     Some(payload::Camera {
-        aim: scene.aiming().name(),
-        preset: &line.counting().table().calibration_id,
+        aim: aim(scene.aiming()),
+        preset: line.counting().table().calibration_id.as_str().to_owned(),
         shift_px: scene.shift().map(|shift| [tenths(shift.u), tenths(shift.v)]),
-        light: scene.latest().map(|look| if look.is_night() { "night" } else { "day" }),
+        light: scene
+            .latest()
+            .map(|look| if look.is_night() { payload::Light::Night } else { payload::Light::Day }),
     })
 }
 
-pub(super) const fn pace_name(pace: Pace) -> &'static str {
+const fn aim(aiming: Aiming) -> payload::Aim {
+    match aiming {
+        Aiming::Unchecked => payload::Aim::Unchecked,
+        Aiming::Unverified => payload::Aim::Unverified,
+        Aiming::InPlace => payload::Aim::InPlace,
+        Aiming::Moved => payload::Aim::Moved,
+    }
+}
+
+pub(super) const fn pace(pace: Pace) -> payload::Pace {
     match pace {
-        Pace::Full => "full",
-        Pace::Half => "half",
-        Pace::Stopped => "stopped",
+        Pace::Full => payload::Pace::Full,
+        Pace::Half => payload::Pace::Half,
+        Pace::Stopped => payload::Pace::Stopped,
     }
 }

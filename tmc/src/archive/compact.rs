@@ -7,13 +7,14 @@
 use super::gaps::{self, Gap};
 use super::journal;
 use crate::failure::Failure;
-use crate::message::{Window, status_number};
+use crate::message;
 use crate::store::{self, DAY_MS, Partition, Row};
 use crate::whole;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use verge_messages::Density;
 
 /// Partitions that are written at the same time; each holds one site's day in memory.
 const WRITERS: usize = 8;
@@ -87,7 +88,7 @@ pub fn compact(root: &Path, segments: &[PathBuf]) -> Result<Done, Failure> {
 fn take_segment(
     root: &Path,
     segment: &Path,
-    days: &mut BTreeMap<Partition, Vec<Window>>,
+    days: &mut BTreeMap<Partition, Vec<Density>>,
     done: &mut Done,
 ) -> Result<usize, Failure> {
     let (payloads, torn) = journal::read(segment)?;
@@ -97,9 +98,9 @@ fn take_segment(
     let (mut bytes, mut rejected) = (0, Vec::new());
     for payload in payloads {
         bytes += payload.len();
-        match Window::parse(&payload) {
+        match message::read(&payload) {
             Ok(window) => {
-                let day = window.from_ms().div_euclid(DAY_MS);
+                let day = window.from.0.div_euclid(DAY_MS);
                 let partition = Partition { site: window.site.clone(), day };
                 days.entry(partition).or_default().push(window);
             }
@@ -124,7 +125,7 @@ fn take_segment(
 }
 
 /// Merges partitions side by side: the time goes into waiting for the disk.
-fn merge_all(root: &Path, days: BTreeMap<Partition, Vec<Window>>) -> Result<Done, Failure> {
+fn merge_all(root: &Path, days: BTreeMap<Partition, Vec<Density>>) -> Result<Done, Failure> {
     let queue = Mutex::new(days.into_iter());
     let work = || -> Result<Done, Failure> {
         let mut done = Done::default();
@@ -145,7 +146,7 @@ fn merge_all(root: &Path, days: BTreeMap<Partition, Vec<Window>>) -> Result<Done
     Ok(done)
 }
 
-fn merge(root: &Path, partition: &Partition, windows: &[Window]) -> Result<Done, Failure> {
+fn merge(root: &Path, partition: &Partition, windows: &[Density]) -> Result<Done, Failure> {
     let path = partition.path(root);
     let mut rows = if path.exists() { store::read(&path)? } else { Vec::new() };
     let known = rows.len();
@@ -153,7 +154,7 @@ fn merge(root: &Path, partition: &Partition, windows: &[Window]) -> Result<Done,
         rows.iter().map(|row| (row.window_s, row.from_ms)).collect();
     let mut done = Done { days: vec![partition.clone()], ..Done::default() };
     for window in windows {
-        if there.insert((window.window_s as i32, window.from_ms())) {
+        if there.insert((window.window_s as i32, window.from.0)) {
             rows.extend(of_window(window));
             done.windows += 1;
         } else {
@@ -171,12 +172,12 @@ fn merge(root: &Path, partition: &Partition, windows: &[Window]) -> Result<Done,
 }
 
 /// The rows of a window: its lanes, then their cells.
-pub fn of_window(window: &Window) -> Vec<Row> {
+pub fn of_window(window: &Density) -> Vec<Row> {
     let mut rows = Vec::new();
     for lane in &window.lanes {
         let row = Row {
             window_s: window.window_s as i32,
-            from_ms: window.from_ms(),
+            from_ms: window.from.0,
             lane: i32::from(lane.lane),
             cell: None,
             position_m: None,
@@ -187,14 +188,17 @@ pub fn of_window(window: &Window) -> Vec<Row> {
             occupancy: lane.space_occupancy,
             frames_used: lane.frames_used as i32,
             frames_expected: lane.frames_expected as i32,
-            status: status_number(&lane.status).unwrap_or_default(),
+            status: lane.status.number().into(),
             seq: window.seq as i64,
             clock_synced: window.clock_synced,
             rel_err: window.calibration.rel_err,
         };
         rows.push(row.clone());
         let Some(cells) = &lane.cells else { continue };
-        for (cell, density) in cells.densities(lane.length_m).into_iter().enumerate() {
+        // A list that is not known is a cell of which nothing is known, as often as there are.
+        let densities = cells.density_veh_km.as_deref();
+        for cell in 0..cells.count(lane.length_m) {
+            let density = densities.and_then(|all| all.get(cell)).copied();
             let begin = cell as f32 * cells.length_m;
             let length_m = cells.length_m.min(lane.length_m - begin).max(0.0);
             rows.push(Row {

@@ -2,10 +2,11 @@
 
 use crate::csv::Table;
 use crate::failure::{Failure, read_text};
-use crate::message::Window;
+use crate::message;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+use verge_messages::Utc;
 
 /// Beginning of the window, ms since 1970, and lane.
 pub(super) type Key = (i64, u8);
@@ -21,8 +22,7 @@ pub(super) struct Entry {
 /// The frames of a simulated recording, as `street record` writes them.
 #[derive(Deserialize)]
 struct Frame {
-    #[serde(deserialize_with = "crate::message::utc")]
-    time: jiff::Timestamp,
+    time: Utc,
     lanes: Vec<FrameLane>,
 }
 
@@ -48,7 +48,7 @@ pub(super) fn estimates(path: &Path) -> Result<BTreeMap<Key, Entry>, Failure> {
     let text = read_text(path)?;
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let wrong = |reason: String| Failure::content(path, index + 1, reason);
-        let window = Window::parse(line.as_bytes()).map_err(wrong)?;
+        let window = message::read(line.as_bytes()).map_err(wrong)?;
         let known = site.get_or_insert_with(|| window.site.clone());
         if *known != window.site {
             let reason = format!("is of site {}, those before of {known}", window.site);
@@ -57,7 +57,7 @@ pub(super) fn estimates(path: &Path) -> Result<BTreeMap<Key, Entry>, Failure> {
         let length_ms = Some(i64::from(window.window_s) * 1000);
         for lane in &window.lanes {
             let density = lane.density_veh_km.map(f64::from);
-            let key = (window.from_ms(), lane.lane);
+            let key = (window.from.0, lane.lane);
             if found.insert(key, Entry { density, length_ms }).is_some() {
                 let reason = "is a second message of this window; score one window length";
                 return Err(wrong(reason.into()));
@@ -87,7 +87,7 @@ pub(super) fn truth(
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let frame: Frame = serde_json::from_str(line)
             .map_err(|error| Failure::content(path, index + 1, error.to_string()))?;
-        let time = frame.time.as_millisecond();
+        let time = frame.time.0;
         for lane in frame.lanes {
             let key = (time - time.rem_euclid(length_ms), lane.lane);
             let sum = sums.entry(key).or_default();

@@ -101,9 +101,9 @@ pub fn message(site: &str, seq: u64, minute: u64) -> String {
             "status": "oK", "cells": {"length_m": 50.0, "density_veh_km": [density, density]}})
     };
     serde_json::json!({"schema": 1, "site": site, "seq": seq, "window_s": 60, "from": from,
-        "to": "", "clock_synced": true, "lanes": [lane(1), lane(2)],
-        "calibration": {"id": "a", "sha256": "", "rel_err": 0.02},
-        "model": {"name": "m", "sha256": ""}})
+        "to": jiff_minute(minute + 1), "clock_synced": true, "lanes": [lane(1), lane(2)],
+        "calibration": {"id": "a", "sha256": "0".repeat(64), "rel_err": 0.02},
+        "model": {"name": "m", "sha256": "0".repeat(64)}})
     .to_string()
 }
 

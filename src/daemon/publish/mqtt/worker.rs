@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::time::{Duration, Instant};
+use verge_messages::{Presence, Topic};
 
 /// How often the thread looks for new messages while it is connected.
 const TICK: Duration = Duration::from_millis(50);
@@ -119,7 +120,7 @@ impl Worker {
 
     /// One connection from its beginning to its end; returns why it ended.
     fn session(&mut self) -> Result<String, String> {
-        let will = self.presence("offline");
+        let will = self.presence(Presence::Offline);
         let mut link = Link::open(&self.settings, &self.settings.client_id(), Some(will))?;
         let mut phase = Phase::Connecting;
         loop {
@@ -127,7 +128,7 @@ impl Worker {
                 self.collect();
                 self.pump(&link);
                 if self.is_done() {
-                    self.transmit(&link, Kind::Presence, self.presence("shutdown"));
+                    self.transmit(&link, Kind::Presence, self.presence(Presence::Shutdown));
                     link.disconnect();
                     phase = Phase::Leaving { until: Instant::now() + GOODBYE };
                 }
@@ -136,7 +137,7 @@ impl Worker {
                 Signal::Accepted => {
                     phase = Phase::Open;
                     log::info!("connected to {}:{}", self.settings.host, self.settings.port);
-                    self.transmit(&link, Kind::Presence, self.presence("online"));
+                    self.transmit(&link, Kind::Presence, self.presence(Presence::Online));
                     self.session += 1;
                     self.report(Report::Opened { session: self.session });
                 }
@@ -160,9 +161,9 @@ impl Worker {
         }
     }
 
-    fn presence(&self, state: &str) -> Message {
-        let topic = format!("{}/presence", self.settings.root);
-        Message { topic, payload: state.into(), retain: true }
+    fn presence(&self, state: Presence) -> Message {
+        let topic = Topic::Presence.under(&self.settings.root);
+        Message { topic, payload: state.text().into(), retain: true }
     }
 
     /// Sends what waits, as far as it may go ahead.

@@ -5,12 +5,7 @@
 //! number and required where `density` stands, so that a missing density is told by a
 //! `physicalQuantityFault` without values, never by 0.
 
-use super::window_s;
-use crate::daemon::clock::rfc3339;
-use crate::daemon::publish::payload::status_name;
-use crate::density::{LaneReport, SampleZoneStatus};
-use crate::units::UtcMs;
-use crate::wire::DensityMessage;
+use crate::{Density, Lane, Status, Utc};
 use std::fmt::Write;
 
 /// Country of a publisher that does not tell: a code that ISO 3166-1 leaves to its users.
@@ -20,7 +15,7 @@ const NO_COUNTRY: &str = "ZZ";
 pub const END: &str = "</d2:payload>";
 
 /// The publication's head, made at `time`, by a publisher in `country` (ISO 3166-1 alpha-2).
-pub fn begin(time: UtcMs, country: Option<&str>) -> String {
+pub fn begin(time: Utc, country: Option<&str>) -> String {
     format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>
 <d2:payload xmlns:d2=\"http://datex2.eu/schema/3/d2Payload\" \
@@ -38,19 +33,19 @@ version=\"1\"/>
   <roa:headerInformation>
     <com:informationStatus>real</com:informationStatus>
   </roa:headerInformation>",
-        rfc3339(time),
+        time,
         escaped(country.unwrap_or(NO_COUNTRY)),
     )
 }
 
 /// One message: the measurements of its site in its window.
-pub fn site_measurements(message: &DensityMessage) -> String {
+pub fn site_measurements(message: &Density) -> String {
     let mut xml = format!(
         "  <roa:siteMeasurements>
     <roa:measurementSiteReference targetClass=\"roa:MeasurementSite\" id=\"{}\" version=\"1\"/>",
         escaped(&message.site)
     );
-    for lane in &message.report.lanes {
+    for lane in &message.lanes {
         // A string takes what is written to it.
         let _ = write!(
             xml,
@@ -60,11 +55,11 @@ pub fn site_measurements(message: &DensityMessage) -> String {
 {}
       </roa:physicalQuantity>
     </roa:physicalQuantity>",
-            lane.lane.get(),
-            concentration(lane).unwrap_or_else(|| fault(lane, message.report.to)),
+            lane.lane,
+            concentration(lane).unwrap_or_else(|| fault(lane, message.to)),
         );
     }
-    let (from, to) = (rfc3339(message.report.from), rfc3339(message.report.to));
+    let (from, to) = (message.from, message.to);
     let _ = write!(
         xml,
         "
@@ -80,13 +75,13 @@ pub fn site_measurements(message: &DensityMessage) -> String {
       </roa:period>
     </roa:measurementTimeDefault>
   </roa:siteMeasurements>",
-        window_s(message),
+        message.window_s,
     );
     xml
 }
 
 /// The values of a lane, or `None` where its density is missing.
-fn concentration(lane: &LaneReport) -> Option<String> {
+fn concentration(lane: &Lane) -> Option<String> {
     let density = lane.density_veh_km?;
     let deviation = lane
         .density_se
@@ -116,13 +111,13 @@ supplierCalculatedDataQuality=\"{quality:.1}\">
 }
 
 /// Why a lane has no values.
-fn fault(lane: &LaneReport, time: UtcMs) -> String {
+fn fault(lane: &Lane, time: Utc) -> String {
     let kind = match lane.status {
-        SampleZoneStatus::SensorFailure => "noDataValuesAvailable",
-        SampleZoneStatus::Ok
-        | SampleZoneStatus::InputDataIntegrity
-        | SampleZoneStatus::PoorContrast
-        | SampleZoneStatus::DetectionAutoSuspended => "spuriousUnreliableDataValues",
+        Status::SensorFailure => "noDataValuesAvailable",
+        Status::Ok
+        | Status::InputDataIntegrity
+        | Status::PoorContrast
+        | Status::DetectionAutoSuspended => "spuriousUnreliableDataValues",
     };
     format!(
         "        <roa:physicalQuantityFault>
@@ -132,8 +127,8 @@ fn fault(lane: &LaneReport, time: UtcMs) -> String {
           <com:faultLastUpdateTime>{}</com:faultLastUpdateTime>
           <roa:physicalQuantityFaultType>{kind}</roa:physicalQuantityFaultType>
         </roa:physicalQuantityFault>",
-        status_name(lane.status),
-        rfc3339(time),
+        lane.status.name(),
+        time,
     )
 }
 
@@ -157,7 +152,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::export::tests::message;
+    use crate::formats::tests::message;
 
     #[test]
     fn golden_site_measurements() {

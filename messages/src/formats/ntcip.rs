@@ -4,10 +4,7 @@
 //! of `dataCollectionTable`, for an SNMP agent to serve. A lane is a sample zone. Density
 //! is no object of the standard and is added. What is not known is 65535.
 
-use super::window_s;
-use crate::daemon::clock::rfc3339;
-use crate::density::{LaneReport, SampleZoneStatus};
-use crate::wire::DensityMessage;
+use crate::{Density, Lane, Utc};
 use serde::Serialize;
 
 /// "No value": missing, or not measured by this sensor.
@@ -18,9 +15,9 @@ pub const MISSING: u16 = 65535;
 struct Zone<'a> {
     site: &'a str,
     sample_zone: u8,
-    sample_end_time: String,
+    sample_end_time: Utc,
     /// s
-    sample_period: u64,
+    sample_period: u32,
     /// Vehicles that passed in the period: a density sensor does not count them.
     volume_data: u16,
     /// Tenths of a percent.
@@ -32,33 +29,22 @@ struct Zone<'a> {
     density_veh_km: u16,
 }
 
-/// The number of a status in the standard.
-pub const fn status_number(status: SampleZoneStatus) -> u8 {
-    match status {
-        SampleZoneStatus::Ok => 2,
-        SampleZoneStatus::SensorFailure => 10,
-        SampleZoneStatus::InputDataIntegrity => 11,
-        SampleZoneStatus::PoorContrast => 12,
-        SampleZoneStatus::DetectionAutoSuspended => 13,
-    }
-}
-
 /// The zones of one message, one a line.
-pub fn zones(message: &DensityMessage) -> String {
-    let lanes: Vec<_> = message.report.lanes.iter().map(|lane| zone(message, lane)).collect();
+pub fn zones(message: &Density) -> String {
+    let lanes: Vec<_> = message.lanes.iter().map(|lane| zone(message, lane)).collect();
     lanes.join("\n")
 }
 
-fn zone(message: &DensityMessage, lane: &LaneReport) -> String {
+fn zone(message: &Density, lane: &Lane) -> String {
     let zone = Zone {
         site: &message.site,
-        sample_zone: lane.lane.get(),
-        sample_end_time: rfc3339(message.report.to),
-        sample_period: window_s(message),
+        sample_zone: lane.lane,
+        sample_end_time: message.to,
+        sample_period: message.window_s,
         volume_data: MISSING,
         percent_occupancy: number(lane.space_occupancy.map(|share| share * 1000.0)),
         speed_data: MISSING,
-        sample_zone_status: status_number(lane.status),
+        sample_zone_status: lane.status.number(),
         density_veh_km: number(lane.density_veh_km),
     };
     serde_json::to_string(&zone).expect("these types have string keys and no failing parts")
@@ -73,7 +59,7 @@ fn number(value: Option<f32>) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::export::tests::message;
+    use crate::formats::tests::message;
 
     #[test]
     fn golden_zones() {

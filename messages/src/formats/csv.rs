@@ -1,12 +1,7 @@
 //! CSV (RFC 4180): one row a lane and window, an empty field for what is not known; the cells
 //! of a lane stand in one field with `;` between them.
 
-use super::window_s;
-use crate::daemon::clock::rfc3339;
-use crate::daemon::publish::payload::{round, status_name};
-use crate::density::LaneReport;
-use crate::units::{Direction, VehicleClass};
-use crate::wire::DensityMessage;
+use crate::{Density, Lane, rounded};
 use std::borrow::Cow;
 
 /// The first line: units stand in the last word of a name.
@@ -15,41 +10,40 @@ density_se_veh_km,vehicles_mean,vehicle,car,van,bus,truck,motorcycle,space_occup
 frames_used,frames_expected,status,calibration,calibration_rel_err,model,cell_length_m,\
 cells_density_veh_km";
 
+/// The columns of the classes.
+const CLASSES: [&str; 6] = ["vehicle", "car", "van", "bus", "truck", "motorcycle"];
+
 /// The rows of one message, each but the last with its line end (CR LF; the last has its
 /// CR).
-pub fn rows(message: &DensityMessage) -> String {
-    let rows: Vec<_> = message.report.lanes.iter().map(|lane| row(message, lane) + "\r").collect();
+pub fn rows(message: &Density) -> String {
+    let rows: Vec<_> = message.lanes.iter().map(|lane| row(message, lane) + "\r").collect();
     rows.join("\n")
 }
 
-fn row(message: &DensityMessage, lane: &LaneReport) -> String {
-    let direction = match lane.direction {
-        Direction::Unknown => "unknown",
-        Direction::Toward => "toward",
-        Direction::Away => "away",
-    };
+fn row(message: &Density, lane: &Lane) -> String {
     let mut fields = vec![
         quoted(&message.site).into_owned(),
-        window_s(message).to_string(),
+        message.window_s.to_string(),
         message.seq.to_string(),
-        rfc3339(message.report.from),
-        rfc3339(message.report.to),
+        message.from.to_string(),
+        message.to.to_string(),
         message.clock_synced.to_string(),
-        lane.lane.get().to_string(),
-        direction.to_owned(),
+        lane.lane.to_string(),
+        lane.direction.name().to_owned(),
         number(lane.density_veh_km),
         number(lane.density_se),
         number(lane.vehicles_mean),
     ];
-    for class in VehicleClass::ALL {
-        fields.push(number(lane.by_class.and_then(|means| means.get(class.index()).copied())));
+    match lane.by_class {
+        Some(means) => fields.extend(means.named().map(|(_, mean)| number(Some(mean)))),
+        None => fields.extend(CLASSES.map(|_| String::new())),
     }
     fields.extend([
         number(lane.space_occupancy),
         number(Some(lane.length_m)),
         lane.frames_used.to_string(),
         lane.frames_expected.to_string(),
-        status_name(lane.status).to_owned(),
+        lane.status.name().to_owned(),
         quoted(&message.calibration.id).into_owned(),
         number(message.calibration.rel_err),
         quoted(&message.model.name).into_owned(),
@@ -59,13 +53,13 @@ fn row(message: &DensityMessage, lane: &LaneReport) -> String {
     fields.join(",")
 }
 
-fn cells(lane: &LaneReport) -> String {
+fn cells(lane: &Lane) -> String {
     let densities = lane.cells.iter().filter_map(|cells| cells.density_veh_km.as_ref()).flatten();
     densities.map(|&density| number(Some(density))).collect::<Vec<_>>().join(";")
 }
 
 fn number(value: Option<f32>) -> String {
-    value.map_or_else(String::new, |value| round(value).to_string())
+    value.map_or_else(String::new, |value| rounded(value).to_string())
 }
 
 /// A text field: quoted where it holds a quote, comma or line end, its quotes doubled.
@@ -80,7 +74,7 @@ fn quoted(text: &str) -> Cow<'_, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::export::tests::message;
+    use crate::formats::tests::message;
 
     #[test]
     fn golden_rows() {
@@ -95,13 +89,15 @@ mod tests {
     #[test]
     fn every_row_has_the_headers_fields() {
         let mut plain = message();
-        plain.site = crate::lane::Name::try_from("k109f").expect("short");
+        plain.site = "k109f".into();
         let columns = HEADER.split(',').count();
         for row in rows(&plain).split("\r\n") {
             assert_eq!(row.split(',').count(), columns, "{row}");
         }
-        for class in VehicleClass::ALL {
-            assert!(HEADER.split(',').any(|column| column == class.name()));
+        let named = plain.lanes[0].by_class.expect("it has them").named().map(|(name, _)| name);
+        assert_eq!(named, CLASSES);
+        for class in CLASSES {
+            assert!(HEADER.split(',').any(|column| column == class));
         }
     }
 }

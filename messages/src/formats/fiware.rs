@@ -3,12 +3,7 @@
 //! The model has no density: `density` with `densityUnit` and `densityStandardError` are
 //! added, as NGSI allows. What is not known is left out, never 0.
 
-use super::window_s;
-use crate::daemon::clock::rfc3339;
-use crate::daemon::publish::payload::{round, status_name};
-use crate::density::LaneReport;
-use crate::units::Direction;
-use crate::wire::DensityMessage;
+use crate::{Density, Direction, Lane, Utc, rounded};
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -22,8 +17,8 @@ struct TrafficFlowObserved<'a> {
     r#type: &'static str,
     name: String,
     date_observed: String,
-    date_observed_from: String,
-    date_observed_to: String,
+    date_observed_from: Utc,
+    date_observed_to: Utc,
     lane_id: u8,
     #[serde(skip_serializing_if = "Option::is_none")]
     lane_direction: Option<&'static str>,
@@ -43,19 +38,19 @@ struct TrafficFlowObserved<'a> {
 }
 
 /// The entities of one message, one a lane, as a JSON array for a batch upsert.
-pub fn entities(message: &DensityMessage, road_segment: Option<&str>) -> String {
+pub fn entities(message: &Density, road_segment: Option<&str>) -> String {
     let lanes: Vec<_> =
-        message.report.lanes.iter().map(|lane| entity(message, lane, road_segment)).collect();
+        message.lanes.iter().map(|lane| entity(message, lane, road_segment)).collect();
     serde_json::to_string(&lanes).expect("these types have string keys and no failing parts")
 }
 
 fn entity<'a>(
-    message: &DensityMessage,
-    lane: &LaneReport,
+    message: &Density,
+    lane: &Lane,
     ref_road_segment: Option<&'a str>,
 ) -> TrafficFlowObserved<'a> {
-    let (from, to) = (rfc3339(message.report.from), rfc3339(message.report.to));
-    let (site, window_s, number) = (&message.site, window_s(message), lane.lane.get());
+    let (from, to) = (message.from, message.to);
+    let (site, window_s, number) = (&message.site, message.window_s, lane.lane);
     TrafficFlowObserved {
         id: format!("urn:ngsi-ld:TrafficFlowObserved:{}:{window_s}s:lane{number}", escaped(site)),
         r#type: "TrafficFlowObserved",
@@ -70,13 +65,13 @@ fn entity<'a>(
             Direction::Unknown => None,
         },
         ref_road_segment,
-        occupancy: lane.space_occupancy.map(round),
-        density: lane.density_veh_km.map(round),
+        occupancy: lane.space_occupancy.map(rounded),
+        density: lane.density_veh_km.map(rounded),
         density_unit: lane.density_veh_km.map(|_| DENSITY_UNIT),
-        density_standard_error: lane.density_se.map(round),
+        density_standard_error: lane.density_se.map(rounded),
         frames_used: lane.frames_used,
         frames_expected: lane.frames_expected,
-        sample_zone_status: status_name(lane.status),
+        sample_zone_status: lane.status.name(),
     }
 }
 
@@ -103,7 +98,7 @@ fn plain(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::export::tests::message;
+    use crate::formats::tests::message;
     use serde_json::{Value, json};
 
     #[test]

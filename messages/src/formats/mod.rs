@@ -1,0 +1,162 @@
+//! Density messages in the formats that traffic centres exchange.
+//!
+//! Owns the mapping from a [`Density`] to each format. Pure functions: no file, no clock, no
+//! connection. What each field means, and what a format cannot say, stands in
+//! `docs/formats.md`.
+
+mod csv;
+mod datex2;
+mod fiware;
+mod ntcip;
+
+use crate::{Density, Utc};
+
+/// A format that messages are written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// FIWARE `TrafficFlowObserved`, NGSI-LD key values: one JSON array a message.
+    Fiware,
+    /// DATEX II v3 `MeasuredDataPublication`: one XML document.
+    Datex2,
+    /// The values of NTCIP 1209: one JSON object a lane and window.
+    Ntcip,
+    /// One row a lane and window, RFC 4180.
+    Csv,
+    /// The daemon's own JSON: one object a message.
+    Json,
+}
+
+impl Format {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Fiware, Self::Datex2, Self::Ntcip, Self::Csv, Self::Json];
+
+    /// Its name on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fiware => "fiware",
+            Self::Datex2 => "datex2",
+            Self::Ntcip => "ntcip",
+            Self::Csv => "csv",
+            Self::Json => "json",
+        }
+    }
+}
+
+/// What a format asks for that no message holds.
+#[derive(Clone, Debug, Default)]
+pub struct Place {
+    /// FIWARE `refRoadSegment`, an URN or address of the road segment.
+    pub road_segment: Option<String>,
+    /// DATEX II country of the publisher, ISO 3166-1 alpha-2.
+    pub country: Option<String>,
+}
+
+/// Writes messages in one format.
+#[derive(Clone, Debug)]
+pub struct Exporter {
+    format: Format,
+    place: Place,
+}
+
+impl Exporter {
+    /// An exporter to that format.
+    pub const fn new(format: Format, place: Place) -> Self {
+        Self { format, place }
+    }
+
+    /// What stands before the first message, made at `time`.
+    pub fn begin(&self, time: Utc) -> Option<String> {
+        match self.format {
+            Format::Datex2 => Some(datex2::begin(time, self.place.country.as_deref())),
+            Format::Csv => Some(format!("{}\r", csv::HEADER)),
+            Format::Fiware | Format::Ntcip | Format::Json => None,
+        }
+    }
+
+    /// One message, without the end of its last line.
+    pub fn message(&self, message: &Density) -> String {
+        match self.format {
+            Format::Fiware => fiware::entities(message, self.place.road_segment.as_deref()),
+            Format::Datex2 => datex2::site_measurements(message),
+            Format::Ntcip => ntcip::zones(message),
+            Format::Csv => csv::rows(message),
+            Format::Json => String::from_utf8_lossy(&crate::json(message)).into_owned(),
+        }
+    }
+
+    /// What stands behind the last message.
+    pub fn end(&self) -> Option<String> {
+        (self.format == Format::Datex2).then(|| datex2::END.to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{ByClass, Calibration, Cells, Direction, Lane, Model, Schema, Status, read};
+
+    /// A minute with one measured lane and one that nothing is known of.
+    pub(super) fn message() -> Density {
+        let measured = Lane {
+            lane: 1,
+            direction: Direction::Away,
+            density_veh_km: Some(24.25),
+            density_se: Some(3.5),
+            vehicles_mean: Some(3.0),
+            by_class: Some(ByClass {
+                vehicle: 0.0,
+                car: 1.0,
+                van: 2.0,
+                bus: 3.0,
+                truck: 4.0,
+                motorcycle: 5.0,
+            }),
+            space_occupancy: Some(0.1234),
+            length_m: 123.7,
+            frames_used: 57,
+            frames_expected: 60,
+            status: Status::Ok,
+            cells: Some(Cells { length_m: 61.85, density_veh_km: Some(vec![32.5, 16.0]) }),
+        };
+        let missing = Lane {
+            lane: 2,
+            direction: Direction::Unknown,
+            density_veh_km: None,
+            density_se: None,
+            vehicles_mean: None,
+            by_class: None,
+            space_occupancy: None,
+            frames_used: 3,
+            status: Status::PoorContrast,
+            cells: Some(Cells { length_m: 61.85, density_veh_km: None }),
+            ..measured.clone()
+        };
+        Density {
+            schema: Schema::default(),
+            site: "k109f \"<&>\", east".into(),
+            seq: 7,
+            window_s: 60,
+            from: Utc(1_767_600_000_000),
+            to: Utc(1_767_600_060_000),
+            clock_synced: true,
+            lanes: vec![measured, missing],
+            calibration: Calibration {
+                id: "c".into(),
+                sha256: "01".repeat(32),
+                rel_err: Some(0.02),
+            },
+            model: Model { name: "m".into(), sha256: "02".repeat(32) },
+            done: None,
+        }
+    }
+
+    #[test]
+    fn json_comes_back_as_the_daemon_wrote_it() {
+        let exporter = Exporter::new(Format::Json, Place::default());
+        let json = exporter.message(&message());
+        let read = read(json.as_bytes()).expect("our own message");
+        assert_eq!(read, message());
+        assert_eq!(exporter.message(&read), json);
+        assert_eq!((exporter.begin(Utc(0)), exporter.end()), (None, None));
+    }
+}

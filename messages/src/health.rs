@@ -1,0 +1,187 @@
+//! The state of the sensor: `<root>/health`.
+
+use crate::{Alarm, LONGEST_NAME, Schema, Status, Utc};
+use serde::{Deserialize, Serialize};
+
+/// Published on `<root>/health`, QoS 1, retained: at start, each minute, and when the status
+/// changes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(title = "verge health"))]
+pub struct Health {
+    /// Version of the message.
+    pub schema: Schema,
+    /// Who.
+    #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_NAME)))]
+    pub site: String,
+    /// When.
+    pub time: Utc,
+    /// Version of the program.
+    pub version: String,
+    /// Status of the sensor as a whole.
+    pub status: Status,
+    /// The alarm that is on.
+    pub alarm: Option<Alarm>,
+    /// Time since start, s.
+    pub uptime_s: u64,
+    /// Whether the clock is set from a time source.
+    pub clock_synced: bool,
+    /// Where the camera looks; null where pictures are not judged.
+    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.1")))]
+    pub camera: Option<Camera>,
+    /// What became of the pictures since start.
+    pub frames: Frames,
+    /// What became of the frames of the camera's stream since start, beside those that are
+    /// pictures; all 0 where the camera gives no stream.
+    pub stream: Stream,
+    /// What became of the messages since start.
+    pub messages: Messages,
+    /// The box around the camera.
+    pub board: Board,
+    /// Faults of the program that the line survived since start.
+    pub stage_faults: u64,
+    /// The latest fault, for people; null while all is well.
+    pub last_fault: Option<String>,
+}
+
+/// What became of the pictures since start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "frames"))]
+pub struct Frames {
+    /// Measured.
+    pub measured: u64,
+    /// The same picture as before.
+    pub unchanged: u64,
+    /// Came, but could not be read or measured.
+    pub damaged: u64,
+    /// Did not come.
+    pub missing: u64,
+    /// Came, but were not fit to be measured: blank, blinded, blurred, displaced.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.1")))]
+    pub withheld: u64,
+}
+
+/// Where the camera looks, and in what light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "camera"))]
+pub struct Camera {
+    /// Whether it looks where it was calibrated.
+    pub aim: Aim,
+    /// Name of the calibration in use, which tells the preset.
+    #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_NAME)))]
+    pub preset: String,
+    /// Shift of the latest picture against the calibration, px to the right and down; null
+    /// where it was not measured.
+    pub shift_px: Option<[f32; 2]>,
+    /// By the mean level of the latest picture; null before the first.
+    pub light: Option<Light>,
+}
+
+/// Whether the camera looks where it was calibrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(inline))]
+#[serde(rename_all = "snake_case")]
+pub enum Aim {
+    /// At the active preset.
+    InPlace,
+    /// Moved.
+    Moved,
+    /// Not seen since start: taken on trust.
+    Unverified,
+    /// The lane table has no reference of the scene.
+    Unchecked,
+}
+
+/// What light the camera has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(inline))]
+#[serde(rename_all = "lowercase")]
+pub enum Light {
+    /// Bright.
+    Day,
+    /// Dark.
+    Night,
+}
+
+/// What became of a stream's frames since start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "stream"))]
+pub struct Stream {
+    /// Marked as damaged on the way, and passed over.
+    pub flagged: u64,
+    /// Missing between two sequence numbers.
+    pub lost: u64,
+    /// Times that the stream was given up and opened again.
+    pub reopened: u64,
+}
+
+/// What became of the messages since start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "messages"))]
+pub struct Messages {
+    /// Taken over by the broker.
+    pub delivered: u64,
+    /// Refused by the broker, with a reason (MQTT 5).
+    pub refused: u64,
+    /// Windows that the broker has not taken.
+    pub waiting: u64,
+    /// Of these, windows that are not on the disk because it refuses them.
+    pub in_memory: u64,
+    /// Windows lost because too many waited: the oldest.
+    pub dropped: u64,
+    /// Records of the spool that could not be read.
+    pub damaged: u64,
+}
+
+/// The box around the camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "board"))]
+pub struct Board {
+    /// Temperature in the enclosure, degrees Celsius; null without a sensor.
+    pub enclosure_c: Option<f32>,
+    /// How fast the line may run.
+    pub pace: Pace,
+    /// Failures of its parts since start.
+    pub faults: BoardFaults,
+    /// The latest failure, for people; null while every part works.
+    pub last_fault: Option<String>,
+}
+
+/// How fast the line may run, by the heat in the enclosure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(inline))]
+#[serde(rename_all = "lowercase")]
+pub enum Pace {
+    /// As configured.
+    Full,
+    /// Each second picture.
+    Half,
+    /// Not at all.
+    Stopped,
+}
+
+impl Pace {
+    /// The name in messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Full => "full",
+            Self::Half => "half",
+            Self::Stopped => "stopped",
+        }
+    }
+}
+
+/// Failures of a board's parts since start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "board_faults"))]
+pub struct BoardFaults {
+    /// The status lamp.
+    pub status_led: u64,
+    /// The camera's relay.
+    pub camera_power: u64,
+    /// The hardware watchdog.
+    pub watchdog: u64,
+    /// The thermometer.
+    pub thermometer: u64,
+}

@@ -1,0 +1,157 @@
+//! Reading density messages.
+//!
+//! Fields that are not known are passed over, so that a message of a later version is read as
+//! long as its schema is; what is known is checked.
+
+use crate::{Density, SCHEMA, Wrong};
+use serde::Deserialize;
+
+/// Why bytes are not a density message.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ReadError {
+    /// Not JSON, or not an object with a message's fields.
+    #[error("not a density message: {0}; give what the daemon publishes under density/")]
+    Json(String),
+    /// A schema that this program does not read.
+    #[error("schema version {0}, this program reads {SCHEMA}: update it")]
+    Schema(u64),
+    /// A field with a value that no message has.
+    #[error(transparent)]
+    Wrong(#[from] Wrong),
+}
+
+/// Reads one message in JSON and checks it.
+///
+/// # Errors
+/// [`ReadError`] says which field is wrong, and what would be right.
+pub fn read(json: &[u8]) -> Result<Density, ReadError> {
+    // serde takes an array for a struct.
+    if !json.trim_ascii_start().starts_with(b"{") {
+        return Err(ReadError::Json("it does not begin with '{'".into()));
+    }
+    let mut parser = serde_json::Deserializer::from_slice(json);
+    let message: Density = match serde_path_to_error::deserialize(&mut parser) {
+        Ok(message) => message,
+        Err(error) => return Err(reason(json, &error)),
+    };
+    parser.end().map_err(|error| ReadError::Json(error.to_string()))?;
+    if message.schema.0 != SCHEMA {
+        return Err(ReadError::Schema(message.schema.0.into()));
+    }
+    message.check()?;
+    Ok(message)
+}
+
+/// Another schema explains everything else.
+fn reason(json: &[u8], error: &serde_path_to_error::Error<serde_json::Error>) -> ReadError {
+    #[derive(Deserialize)]
+    struct Version {
+        schema: u64,
+    }
+    match serde_json::from_slice(json) {
+        Ok(Version { schema }) if schema != u64::from(SCHEMA) => ReadError::Schema(schema),
+        _ => {
+            let (path, inner) = (error.path().to_string(), error.inner());
+            match inner.classify() {
+                serde_json::error::Category::Data if path != "." => {
+                    Wrong::new(path, inner.to_string()).into()
+                }
+                _ => ReadError::Json(inner.to_string()),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(crate) fn golden() -> String {
+        let sha256 = "01".repeat(32);
+        format!(
+            "{{\"schema\":1,\"site\":\"k109f\",\"seq\":7,\"window_s\":60,\
+            \"from\":\"2026-01-05T08:00:00.000Z\",\"to\":\"2026-01-05T08:01:00.000Z\",\
+            \"clock_synced\":true,\"lanes\":[{{\"lane\":1,\"direction\":\"away\",\
+            \"density_veh_km\":24.25,\"density_se\":3.5,\"vehicles_mean\":3.0,\
+            \"by_class\":{{\"vehicle\":0.0,\"car\":1.0,\"van\":2.0,\"bus\":3.0,\"truck\":4.0,\
+            \"motorcycle\":5.0}},\"space_occupancy\":0.1234,\"length_m\":123.7,\
+            \"frames_used\":57,\"frames_expected\":60,\"status\":\"oK\",\
+            \"cells\":{{\"length_m\":61.85,\"density_veh_km\":[32.5,16.0]}}}},\
+            {{\"lane\":2,\"direction\":\"unknown\",\"density_veh_km\":null,\"density_se\":null,\
+            \"vehicles_mean\":null,\"by_class\":null,\"space_occupancy\":null,\
+            \"length_m\":123.7,\"frames_used\":3,\"frames_expected\":60,\
+            \"status\":\"poorContrast\",\"cells\":{{\"length_m\":61.85,\
+            \"density_veh_km\":null}}}}],\
+            \"calibration\":{{\"id\":\"c\",\"sha256\":\"{sha256}\",\"rel_err\":0.02}},\
+            \"model\":{{\"name\":\"m\",\"sha256\":\"{sha256}\"}}}}"
+        )
+    }
+
+    fn changed(from: &str, to: &str) -> Result<Density, ReadError> {
+        let text = golden();
+        assert!(text.contains(from), "{from} in {text}");
+        read(text.replacen(from, to, 1).as_bytes())
+    }
+
+    #[test]
+    fn what_is_read_is_written_in_the_same_bytes() {
+        let message = read(golden().as_bytes()).expect("right");
+        assert_eq!(String::from_utf8(crate::json(&message)).expect("JSON"), golden());
+        let replayed = golden().replacen("\"seq\":7", "\"done\":true,\"seq\":7", 1);
+        assert_eq!(read(replayed.as_bytes()).map(|message| message.done), Ok(Some(true)));
+    }
+
+    #[test]
+    fn unknown_fields_are_passed_over_and_optional_ones_may_be_absent() {
+        let message = read(golden().as_bytes());
+        assert_eq!(changed("\"schema\":1", "\"schema\":1,\"colour\":[1]"), message);
+        // A message from before cells were measured.
+        let without = changed("\"cells\"", "\"other\"").expect("a right message");
+        assert_eq!(without.lanes[0].cells, None);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (from, to, expected) in [
+            ("\"schema\":1", "\"schema\":2", "schema version 2, this program reads 1"),
+            ("\"schema\":1,\"site\"", "\"schema\":9,\"place\"", "schema version 9"),
+            ("\"seq\":7", "\"seq\":-7", "seq: invalid value: integer `-7`"),
+            ("\"seq\":7", "\"seq\":0", "seq: 0: 1 to"),
+            ("\"seq\":7", "\"seq\":9223372036854775807", "seq: 9223372036854775807: 1 to"),
+            ("\"site\":", "\"sight\":", "not a density message: missing field `site`"),
+            ("k109f", &"x".repeat(49), "site: longer than 48 bytes"),
+            ("\"window_s\":60", "\"window_s\":1", "window_s: 1 s: 10 to 900"),
+            ("\"window_s\":60", "\"window_s\":70", "window_s: 70 s: 10 to 900"),
+            ("08:00:00.000Z", "08:00:01.000Z", "from: 2026-01-05T08:00:01.000Z is not the beginn"),
+            ("2026-01-05T08:00", "-000001-01-01T08:00", "from: "),
+            ("08:01:00.000Z", "08:01", "to: \"2026-01-05T08:01\" is not a time in RFC 3339"),
+            ("08:01:00.000Z", "08:02:00.000Z", "to: 2026-01-05T08:02:00.000Z is not 60 s after"),
+            ("\"lane\":1", "\"lane\":9", "lanes[0].lane: 9: 1 to 8"),
+            ("\"lane\":2", "\"lane\":1", "lanes[1].lane: 1 is there twice"),
+            ("24.25", "-24.25", "lanes[0].density_veh_km: -24.25: 0 to 10000 is right"),
+            ("24.25", "1e39", "lanes[0].density_veh_km: inf: 0 to 10000 is right"),
+            ("0.1234", "1.234", "lanes[0].space_occupancy: 1.234: 0 to 1"),
+            ("\"oK\"", "\"fine\"", "lanes[0].status: unknown variant `fine`"),
+            ("\"car\":", "\"tram\":", "lanes[0].by_class"),
+            ("\"car\":1.0", "\"car\":-1.0", "lanes[0].by_class.car: -1"),
+            ("\"length_m\":123.7", "\"length_m\":-1", "lanes[0].length_m: -1: above 0"),
+            ("\"length_m\":61.85", "\"length_m\":0.0", "lanes[0].cells.length_m: 0: above 0"),
+            ("\"length_m\":61.85", "\"length_m\":1e-9", "lanes[0].cells.length_m: 0.000000001"),
+            (
+                "\"length_m\":61.85",
+                "\"length_m\":0.196",
+                "lanes[0].cells.length_m: 0.196: 123.7 m in",
+            ),
+            ("[32.5,", "[-32.5,", "lanes[0].cells.density_veh_km[0]: -32.5"),
+            ("[32.5,", &format!("[{}", "1,".repeat(32)), "33 of them, 2 of 61.85 m make"),
+            ("\"frames_expected\":60", "\"frames_expected\":0", "lanes[0].frames_expected: 0"),
+            ("0101", "01", "calibration.sha256: \"0101"),
+            ("\"rel_err\":0.02", "\"rel_err\":-1", "calibration.rel_err: -1"),
+            ("{", "[", "not a density message"),
+            ("{\"schema", "{{", "not a density message: key must be a string"),
+        ] {
+            let error = changed(from, to).expect_err(to).to_string();
+            assert!(error.contains(expected), "{to}: {error}");
+        }
+    }
+}

@@ -24,8 +24,10 @@
 //! along the lane in cm, to 655 m) and `span_mm: u16` (road length along the lane that
 //! one pixel spans there, in mm, to 65 m).
 
+mod name;
 mod write;
 
+pub use name::{Name, NameTooLong};
 pub use write::{encode, encoded_len};
 
 use crate::scene::{MAX_REFERENCE, Reference, ReferenceError};
@@ -63,9 +65,6 @@ const CELL: usize = 5;
 const LENGTH: usize = 4;
 const TRAILER: usize = 4;
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-
-/// A short name without allocation.
-pub type Name = heapless::String<MAX_NAME>;
 
 /// One lane of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

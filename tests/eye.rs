@@ -4,10 +4,10 @@
 mod common;
 
 use common::{folder, k109f_frames, stderr, verge};
-use mvcalib::calibration::Calibration;
-use mvcalib::labelme::LabelFile;
-use mvcalib::lane_table::{lanes, table};
-use mvcalib::scene_reference::{pictures, reference};
+use mvcalib::files::calibration::{Calibration, Sha256};
+use mvcalib::files::labelme::LabelFile;
+use mvcalib::road::lane_table::{lanes, table};
+use mvcalib::road::scene_reference::{pictures, reference};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use street::recording::{Recorder, calibration, write};
@@ -214,7 +214,7 @@ fn write_table(recording: &Path, scene: &Scene, frames: usize, out: &Path) {
     }
     let (_, seen) = reference(&pictures(&folder).expect("frames"), &[]).expect("a clear scene");
     std::fs::remove_dir_all(&folder).expect("removing the frames");
-    let hash = if out.ends_with("b.lut") { [0xb; 32] } else { [0xa; 32] };
+    let hash = if out.ends_with("b.lut") { Sha256([0xb; 32]) } else { Sha256([0xa; 32]) };
     let bytes = table(&camera, &drawn, hash, "curve", Some(&seen), 10.0).expect("a right table");
     std::fs::write(out, bytes).expect("writing the table");
 }

@@ -3,9 +3,9 @@
 
 mod common;
 
-use mvcalib::calibration::Calibration;
-use mvcalib::labelme::LabelFile;
-use mvcalib::lane_table::{lanes, table};
+use mvcalib::files::calibration::{Calibration, Sha256};
+use mvcalib::files::labelme::LabelFile;
+use mvcalib::road::lane_table::{lanes, table};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use street::recording::{Recorder, calibration};
@@ -38,7 +38,8 @@ fn write_table(scene: &Scene, recorder: &Recorder, folder: &Path) -> PathBuf {
     let camera = Calibration::read(&camera_file, None).expect("a right calibration");
     let drawn = LabelFile::read(&lanes_file).expect("right lanes");
     let drawn = lanes(&drawn, "lanes.json", &camera.camera()).expect("lanes on the road");
-    let bytes = table(&camera, &drawn, [0; 32], "street", None, CELL_M).expect("a right table");
+    let bytes =
+        table(&camera, &drawn, Sha256([0; 32]), "street", None, CELL_M).expect("a right table");
     let path = folder.join("street.lut");
     std::fs::write(&path, bytes).expect("writing the table");
     path

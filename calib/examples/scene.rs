@@ -9,10 +9,10 @@
 //! scene frames DIR [NAME]  one camera's pictures against the reference made of them
 //! ```
 
-use mvcalib::calibration::Calibration;
-use mvcalib::labelme::LabelFile;
-use mvcalib::lane_table::{lanes, table};
-use mvcalib::scene_reference::{HeapEye, eye, picture, pictures, reference};
+use mvcalib::files::calibration::Calibration;
+use mvcalib::files::labelme::LabelFile;
+use mvcalib::road::lane_table::{lanes, table};
+use mvcalib::road::scene_reference::{HeapEye, eye, picture, pictures, reference};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;

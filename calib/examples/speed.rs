@@ -5,11 +5,11 @@
 //! with its uncertainty. Medians of several runs; on Linux the time this thread had a core, so
 //! that other work on the machine does not count, elsewhere the wall clock.
 
+use mvcalib::files::labelme::read_vehicles;
 use mvcalib::joint;
-use mvcalib::labelme::read_vehicles;
+use mvcalib::model::read_models;
+use mvcalib::paper::stages::{Settings, calibrate};
 use mvcalib::problem::Problem;
-use mvcalib::stages::{Settings, calibrate};
-use mvcalib::vehicle::read_models;
 use std::path::Path;
 use std::time::Instant;
 

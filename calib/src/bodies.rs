@@ -4,7 +4,7 @@
 //! (README), not measured as the models of cars are. Does not own how far a vehicle may be
 //! from them (see `joint::shape`) nor where a vehicle's body is stated (see `labelme`).
 
-use crate::vehicle::{VehicleModel, parse_models};
+use crate::model::{VehicleModel, parse_models};
 use std::sync::LazyLock;
 
 /// What kind of body a vehicle has.
@@ -59,7 +59,7 @@ mod tests {
         for body in Body::ALL {
             assert_eq!(Body::of_name(body.name()), Some(body));
             let points = body.model().map(|m| m.points.iter().flatten().count());
-            assert_eq!(points, (body != Body::Car).then_some(crate::vehicle::KEY_POINT_COUNT));
+            assert_eq!(points, (body != Body::Car).then_some(crate::model::KEY_POINT_COUNT));
         }
         assert_eq!(Body::of_name("lorry"), None);
     }

@@ -6,7 +6,9 @@
 //! Pixel convention, stated once for the crate: continuous image coordinates with
 //! (0, 0) at the top left corner of the picture, so pixel (i, j) has its centre at
 //! (i + 0.5, j + 0.5), and the principal point is (w/2, h/2) as in the paper
-//! (Eq. full_PnP_eq). World: metres, Z up, Z = 0 the road.
+//! (Eq. full_PnP_eq). World: metres, Z up, Z = 0 the road. Where the road's profile is
+//! curved, Z is measured from the road, which lies `crest_per_m` Y^2 / 2 below the plane that
+//! touches it at Y = 0.
 
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector2, Vector3};
 
@@ -109,12 +111,24 @@ pub struct Camera {
     pub lens: Lens,
     /// The pose over the road.
     pub pose: Pose,
+    /// Curvature of the road's profile along Y, 1/m: above 0 a crest, 0 a level road.
+    pub crest_per_m: f64,
 }
+
+/// Steps onto a curved road; 6 reach 1e-6 m where the road falls by less than the camera's
+/// height.
+const PROFILE_STEPS: usize = 6;
 
 impl Camera {
     /// The image point (px) of a world point (m), or `None` behind the camera.
     pub fn project(&self, p_world: &Vector3<f64>) -> Option<Vector2<f64>> {
-        self.lens.project(&self.pose.transform(p_world))
+        self.lens.project(&self.transform(p_world))
+    }
+
+    /// A world point in camera coordinates, m.
+    pub fn transform(&self, p_world: &Vector3<f64>) -> Vector3<f64> {
+        let below = 0.5 * self.crest_per_m * p_world.y * p_world.y;
+        self.pose.transform(&Vector3::new(p_world.x, p_world.y, p_world.z - below))
     }
 
     /// The world point (m) at height `z_m` above the road that is seen at an image
@@ -124,9 +138,23 @@ impl Camera {
     pub fn back_project(&self, uv: &Vector2<f64>, z_m: f64) -> Option<Vector3<f64>> {
         let centre = self.pose.camera_centre();
         let ray = self.pose.rotation.inverse() * self.lens.ray(uv);
-        let steps = (z_m - centre.z) / ray.z;
+        let mut steps = (z_m - centre.z) / ray.z;
         if !steps.is_finite() || steps <= 0.0 {
             return None;
+        }
+        if self.crest_per_m != 0.0 {
+            for _ in 0..PROFILE_STEPS {
+                let y = centre.y + ray.y * steps;
+                let profile = z_m - 0.5 * self.crest_per_m * y * y;
+                // Beyond the top of a crest, or where a sag would meet the camera.
+                if (profile - z_m).abs() > 2.0 * centre.z {
+                    return None;
+                }
+                steps = (profile - centre.z) / ray.z;
+            }
+            if steps <= 0.0 {
+                return None;
+            }
         }
         let p = centre + ray * steps;
         Some(Vector3::new(p.x, p.y, z_m))
@@ -162,6 +190,7 @@ mod tests {
                 Vector3::new(1.8936, 0.1869, -0.1925),
                 Vector3::new(-3.901, 6.036, 44.410),
             ),
+            crest_per_m: 0.0,
         }
     }
 

@@ -3,6 +3,7 @@
 //! Owns the error enum and its mapping to exit codes. Does not own messages of
 //! success, warnings or the trust verdict (see `calibration`).
 
+use crate::trust::Reason;
 use std::path::PathBuf;
 
 /// Why a calibration, a check or a table could not be made.
@@ -175,9 +176,9 @@ pub enum Error {
     /// The calibration must not be trusted and was not forced.
     #[error(
         "the calibration says it cannot be trusted: {0}; \
-         calibrate again with more vehicles or lane lines, or pass --force"
+         calibrate again with more (lengths first), or pass --force"
     )]
-    NotTrusted(String),
+    NotTrusted(Reason),
     /// The command line asks for something impossible.
     #[error("{0}")]
     Usage(String),

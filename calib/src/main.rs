@@ -3,6 +3,10 @@
 //! Owns the command line and the exit code. Does not own any work (see the library).
 
 mod cli;
+#[path = "../bench/compare.rs"]
+mod compare;
+#[path = "../bench/made_scene.rs"]
+mod made_scene;
 
 use clap::Parser;
 use std::process::ExitCode;

@@ -3,20 +3,20 @@
 //! Owns the list of methods and how the single-vehicle ones pick their camera. Does not own
 //! any solver.
 
+use crate::baselines::gpnp;
+use crate::baselines::single_vehicle::{self, Solver};
+use crate::baselines::upnp;
 use crate::bodies::Body;
-use crate::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
 use crate::camera::{Camera, Pose};
 use crate::error::{Error, Result};
-use crate::fine_tuning;
-use crate::gpnp;
+use crate::files::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
 use crate::joint::{self, cues::RoadCues};
-use crate::loss::{Form, Weights, pack};
-use crate::model_matching::{Bounds, Matched};
+use crate::paper::fine_tuning;
+use crate::paper::loss::{Form, Weights, pack};
+use crate::paper::model_matching::{Bounds, Matched};
+use crate::paper::stages::{self, Settings, Stages, Step};
 use crate::problem::{FocalPrior, Problem};
-use crate::single_vehicle::{self, Solver};
-use crate::stages::{self, Settings, Stages, Step};
-use crate::trust::{Evidence, MIN_VEHICLES, verdict};
-use crate::upnp;
+use crate::trust::{Evidence, MIN_VEHICLES, Reason, Trust, verdict};
 use std::time::Instant;
 
 /// A calibration method by its name on the command line.
@@ -179,7 +179,7 @@ fn of_joint(
     let rel_err = Some(calibration.rel_err.unwrap_or(f64::NAN));
     let evidence = Evidence { rel_err, worst, focal_bounds: None };
     calibration.trust = match misfit_vehicle(problem, &settings, &joint) {
-        Some(reason) => reason,
+        Some(reason) => Trust::Refused(reason),
         None => verdict(problem, &camera, &evidence),
     };
     Ok(calibration)
@@ -195,7 +195,7 @@ fn misfit_vehicle(
     problem: &Problem,
     settings: &joint::Settings,
     joint: &joint::Joint,
-) -> Option<String> {
+) -> Option<Reason> {
     if joint.strangeness() < STRANGE || problem.vehicles.len() <= MIN_VEHICLES {
         return None;
     }
@@ -210,18 +210,12 @@ fn misfit_vehicle(
         .filter(|(_, other)| other.strangeness() < STRANGE)?;
     let (vehicle, with, camera) = (&problem.vehicles[index], joint.camera(), other.camera());
     let aloft = vehicle.points.iter().find(|p| camera.back_project(&p.uv, 0.0).is_none());
-    let aloft = aloft.map_or(String::new(), |p| {
-        format!(", and its key point {} lies above their horizon", p.label)
-    });
-    Some(format!(
-        "{} does not stand on the road of the others: with it the camera is {:.0} m high with \
-         f {:.0} px, without it {:.0} m and {:.0} px{aloft}",
-        vehicle.name,
-        with.height_m(),
-        with.lens.f,
-        camera.height_m(),
-        camera.lens.f,
-    ))
+    Some(Reason::Misplaced {
+        vehicle: vehicle.name.clone(),
+        with: [with.height_m(), with.lens.f],
+        without: [camera.height_m(), camera.lens.f],
+        aloft: aloft.map(|p| p.label),
+    })
 }
 
 fn of_single(
@@ -234,13 +228,14 @@ fn of_single(
     let name = options.method.name();
     let (matched, best) = single_vehicle::solve(problem, name, solver, gauss_newton, weights)?;
     let Matched { f, pose, .. } = matched[best];
-    let camera = Camera { image_size: problem.image_size, lens: problem.lens(f), pose };
+    let camera =
+        Camera { image_size: problem.image_size, lens: problem.lens(f), pose, crest_per_m: 0.0 };
     let mut calibration = Calibration::of_camera(&camera, name);
     calibration.loss = fine_tuning_loss(problem, &matched, weights, &camera);
     calibration.vehicles = matches(problem, &matched);
     calibration.evaluations = problem.vehicles.len() * problem.models.len();
     // A single distant car fits nearly any focal length, whichever the solver.
-    calibration.trust = format!("{name} looks at one vehicle; use joint or mvcalib");
+    calibration.trust = Trust::Refused(Reason::SingleVehicle { method: name });
     Ok(calibration)
 }
 

@@ -5,8 +5,9 @@
 
 use crate::camera::Lens;
 use crate::error::{Error, Result};
+use crate::model::VehicleModel;
 use crate::validation::check_vehicle;
-use crate::vehicle::{Pair, Vehicle, VehicleModel};
+use crate::vehicle::{Pair, Vehicle};
 
 /// Checked input of a calibration.
 #[derive(Clone, Debug)]

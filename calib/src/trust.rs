@@ -1,26 +1,213 @@
 //! The verdict on a calibration: whether lengths measured with it may be used.
 //!
-//! Owns the rules and their limits. Does not own what happens to a calibration that fails
-//! them (`table` refuses it unless forced).
+//! Owns the verdict, its reasons, the rules and their limits. Does not own what happens to
+//! a calibration that fails them (`table` refuses it unless forced).
 
-use crate::calibration::TRUSTED;
 use crate::camera::Camera;
 use crate::problem::Problem;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::fmt;
 
-/// Fewest vehicles: one or two leave the focal length open.
+/// Fewest vehicles of a method that states no error: one or two leave the focal length open.
 pub const MIN_VEHICLES: usize = 3;
 /// Largest stated standard error of a length: beyond it a density is off by more than the
 /// paper's own error of 8 to 16 %.
 pub const MAX_REL_ERR: f64 = 0.15;
+/// The same at the far end, where fewer vehicles are seen.
+pub const MAX_FAR_REL_ERR: f64 = 0.25;
 /// A camera over a road stands between these heights, m.
 pub const HEIGHT_RANGE_M: [f64; 2] = [2.0, 80.0];
 /// Largest typical misfit of a key point as a part of the picture's width: 3.2 px of 320.
 pub const MAX_MISFIT_WIDTH_FRACTION: f64 = 0.01;
 
+/// Whether a calibration may be used.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Trust {
+    /// It may.
+    #[default]
+    Ok,
+    /// It must not, unless forced.
+    Refused(Reason),
+}
+
+/// Why a calibration must not be used.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Reason {
+    /// Too few vehicles for a method that does not know its own error.
+    FewVehicles {
+        /// How many there are.
+        actual: usize,
+    },
+    /// A method that looks at a single vehicle, whose focal length is a guess.
+    SingleVehicle {
+        /// The method.
+        method: &'static str,
+    },
+    /// No camera over a road stands so high or so low.
+    Height {
+        /// Height of the camera, m.
+        height_m: f64,
+    },
+    /// The search of the focal length ended at its bound.
+    FocalBound {
+        /// Focal length, px.
+        f_px: f64,
+    },
+    /// The key points of a vehicle do not fit.
+    Misfit {
+        /// The vehicle.
+        vehicle: String,
+        /// Root mean square misfit, px.
+        misfit_px: f64,
+        /// The limit, px.
+        limit_px: f64,
+    },
+    /// A vehicle stands on no road of the others.
+    Misplaced {
+        /// The vehicle.
+        vehicle: String,
+        /// Height (m) and focal length (px) of the camera with it.
+        with: [f64; 2],
+        /// The same without it.
+        without: [f64; 2],
+        /// The label of a key point that lies above the horizon of the others.
+        aloft: Option<u8>,
+    },
+    /// A length contradicts the other cues.
+    Contradiction {
+        /// The mark.
+        name: String,
+        /// Its length as given, m.
+        known_m: f64,
+        /// Its length as the others have it, m.
+        measured_m: f64,
+    },
+    /// The stated error of a length at the far end is too large.
+    UncertainFar {
+        /// Standard error of a length there as a part of it.
+        rel_err: f64,
+        /// What to add to mend it, where that is known.
+        add: Option<String>,
+    },
+    /// The stated error of a length is too large.
+    Uncertain {
+        /// Standard error of a length as a part of it.
+        rel_err: f64,
+        /// What to add to mend it, where that is known.
+        add: Option<String>,
+    },
+    /// A key point lies at or above the horizon.
+    AboveHorizon {
+        /// The vehicle.
+        vehicle: String,
+        /// The key point's label.
+        label: u8,
+        /// Where it is, px.
+        uv: [f64; 2],
+    },
+    /// As it stands in a file that was read.
+    Stated(String),
+}
+
+impl Trust {
+    /// The first reason that there is, or none.
+    pub fn of(reason: Option<Reason>) -> Self {
+        reason.map_or(Trust::Ok, Trust::Refused)
+    }
+}
+
+/// Value of a trusted calibration in its file.
+const TRUSTED: &str = "ok";
+
+impl fmt::Display for Trust {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Trust::Ok => f.write_str(TRUSTED),
+            Trust::Refused(reason) => reason.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Reason::FewVehicles { actual } => write!(
+                f,
+                "{actual} vehicle(s) do not determine the focal length; label at least \
+                 {MIN_VEHICLES}, or use joint"
+            ),
+            Reason::SingleVehicle { method } => {
+                write!(f, "{method} looks at one vehicle; use joint or mvcalib")
+            }
+            Reason::Height { height_m } => {
+                write!(f, "the camera would stand {height_m:.1} m above the road")
+            }
+            Reason::FocalBound { f_px } => {
+                write!(f, "the focal length {f_px:.0} px ended at its bound")
+            }
+            Reason::Misfit { vehicle, misfit_px, limit_px } => write!(
+                f,
+                "the key points of {vehicle} miss their fit by {misfit_px:.1} px \
+                 (limit {limit_px:.1} px)"
+            ),
+            Reason::Misplaced { vehicle, with, without, aloft } => {
+                write!(
+                    f,
+                    "{vehicle} does not stand on the road of the others: with it the camera is \
+                     {:.0} m high with f {:.0} px, without it {:.0} m and {:.0} px",
+                    with[0], with[1], without[0], without[1],
+                )?;
+                match aloft {
+                    Some(label) => {
+                        write!(f, ", and its key point {label} lies above their horizon")
+                    }
+                    None => Ok(()),
+                }
+            }
+            Reason::Uncertain { rel_err, add } => {
+                let (percent, limit) = (100.0 * rel_err, 100.0 * MAX_REL_ERR);
+                write!(f, "lengths are uncertain by {percent:.0} % (limit {limit:.0} %)")?;
+                add.as_ref().map_or(Ok(()), |add| write!(f, "; add {add}"))
+            }
+            Reason::UncertainFar { rel_err, add } => {
+                let (percent, limit) = (100.0 * rel_err, 100.0 * MAX_FAR_REL_ERR);
+                write!(
+                    f,
+                    "lengths at the far end are uncertain by {percent:.0} % (limit {limit:.0} %)"
+                )?;
+                add.as_ref().map_or(Ok(()), |add| write!(f, "; add {add}"))
+            }
+            Reason::Contradiction { name, known_m, measured_m } => write!(
+                f,
+                "{name} is given as {known_m:.2} m, and everything else makes it {measured_m:.2} m; \
+                 look at its points and its length"
+            ),
+            Reason::AboveHorizon { vehicle, label, uv: [u, v] } => write!(
+                f,
+                "{vehicle}, key point {label} at ({u:.1}, {v:.1}) px lies above the horizon"
+            ),
+            Reason::Stated(text) => f.write_str(text),
+        }
+    }
+}
+
+impl Serialize for Trust {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Trust {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(d)?;
+        Ok(if text == TRUSTED { Trust::Ok } else { Trust::Refused(Reason::Stated(text)) })
+    }
+}
+
 /// What the rules look at.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
-    /// Stated standard error of a length, as a part of it.
+    /// Stated standard error of a length, as a part of it; `None`: the method states none.
     pub rel_err: Option<f64>,
     /// The vehicle whose key points fit worst, and their root mean square misfit, px.
     pub worst: Option<(&'a str, f64)>,
@@ -28,51 +215,78 @@ pub struct Evidence<'a> {
     pub focal_bounds: Option<[f64; 2]>,
 }
 
-/// `ok`, or the first reason against the calibration, with its numbers.
-pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence<'_>) -> String {
-    let vehicles = problem.vehicles.len();
-    if vehicles < MIN_VEHICLES {
-        return format!(
-            "{vehicles} vehicle(s) do not determine the focal length; label at least {MIN_VEHICLES}"
-        );
-    }
-    let height = camera.height_m();
-    if !(HEIGHT_RANGE_M[0]..=HEIGHT_RANGE_M[1]).contains(&height) {
-        return format!("the camera would stand {height:.1} m above the road");
-    }
-    let at_bound = evidence
-        .focal_bounds
-        .is_some_and(|[low, high]| camera.lens.f < low * 1.001 || camera.lens.f > high * 0.999);
-    if at_bound {
-        return format!("the focal length {:.0} px ended at its bound", camera.lens.f);
-    }
+/// The verdict: the first reason against the calibration. A method that states its error is
+/// judged by that; only one that states none is judged by its number of vehicles.
+pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence<'_>) -> Trust {
+    Trust::of(
+        few_vehicles(problem, evidence)
+            .or_else(|| height(camera))
+            .or_else(|| focal_bound(camera, evidence))
+            .or_else(|| misfit(problem, evidence))
+            .or_else(|| uncertain(evidence.rel_err, || None))
+            .or_else(|| above_horizon(problem, camera)),
+    )
+}
+
+fn few_vehicles(problem: &Problem, evidence: &Evidence<'_>) -> Option<Reason> {
+    let actual = problem.vehicles.len();
+    (evidence.rel_err.is_none() && actual < MIN_VEHICLES).then_some(Reason::FewVehicles { actual })
+}
+
+/// Whether a camera stands at no height over a road.
+pub fn height(camera: &Camera) -> Option<Reason> {
+    let height_m = camera.height_m();
+    let [low, high] = HEIGHT_RANGE_M;
+    (!(low..=high).contains(&height_m)).then_some(Reason::Height { height_m })
+}
+
+fn focal_bound(camera: &Camera, evidence: &Evidence<'_>) -> Option<Reason> {
+    let f_px = camera.lens.f;
+    let at_bound = |&[low, high]: &[f64; 2]| f_px < low * 1.001 || f_px > high * 0.999;
+    evidence.focal_bounds.filter(at_bound).map(|_| Reason::FocalBound { f_px })
+}
+
+fn misfit(problem: &Problem, evidence: &Evidence<'_>) -> Option<Reason> {
     let limit_px = MAX_MISFIT_WIDTH_FRACTION * problem.width_px();
-    if let Some((name, misfit)) = evidence.worst.filter(|(_, m)| m.is_nan() || *m > limit_px) {
-        return format!(
-            "the key points of {name} miss their fit by {misfit:.1} px (limit {limit_px:.1} px)"
-        );
-    }
-    if let Some(rel_err) = evidence.rel_err.filter(|e| e.is_nan() || *e > MAX_REL_ERR) {
-        return format!(
-            "lengths are uncertain by {:.0} % (limit {:.0} %)",
-            100.0 * rel_err,
-            100.0 * MAX_REL_ERR
-        );
-    }
-    if let Some(point) = above_horizon(problem, camera) {
-        return point;
-    }
-    TRUSTED.to_owned()
+    let (vehicle, misfit_px) = evidence.worst.filter(|(_, m)| m.is_nan() || *m > limit_px)?;
+    Some(Reason::Misfit { vehicle: vehicle.to_owned(), misfit_px, limit_px })
+}
+
+/// Whether the stated error of a length is too large, or not a number; `add` says what would
+/// mend it.
+pub fn uncertain(rel_err: Option<f64>, add: impl FnOnce() -> Option<String>) -> Option<Reason> {
+    let rel_err = rel_err.filter(|e| e.is_nan() || *e > MAX_REL_ERR)?;
+    Some(Reason::Uncertain { rel_err, add: add() })
+}
+
+/// The same at the far end of what is seen.
+pub fn uncertain_far(rel_err: f64, add: impl FnOnce() -> Option<String>) -> Option<Reason> {
+    let bad = rel_err.is_nan() || rel_err > MAX_FAR_REL_ERR;
+    bad.then(|| Reason::UncertainFar { rel_err, add: add() })
 }
 
 /// The first key point that this camera sees at or above its horizon: no vehicle of the
 /// road can be there.
-fn above_horizon(problem: &Problem, camera: &Camera) -> Option<String> {
+fn above_horizon(problem: &Problem, camera: &Camera) -> Option<Reason> {
     problem.vehicles.iter().find_map(|vehicle| {
         let point = vehicle.points.iter().find(|p| camera.back_project(&p.uv, 0.0).is_none())?;
-        Some(format!(
-            "{}, key point {} at ({:.1}, {:.1}) px lies above the horizon",
-            vehicle.name, point.label, point.uv.x, point.uv.y
-        ))
+        let vehicle = vehicle.name.clone();
+        Some(Reason::AboveHorizon { vehicle, label: point.label, uv: point.uv.into() })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_verdict_is_a_text_in_files_and_comes_back() {
+        let ok: Trust = serde_json::from_str("\"ok\"").unwrap();
+        assert_eq!(ok, Trust::Ok);
+        let refused = Trust::Refused(Reason::Height { height_m: 300.0 });
+        let text = serde_json::to_string(&refused).unwrap();
+        let back: Trust = serde_json::from_str(&text).unwrap();
+        assert_ne!(back, Trust::Ok);
+        assert_eq!(back.to_string(), refused.to_string());
+    }
 }

@@ -4,7 +4,8 @@
 //! the picture, left and right consistent. Does not own reading the files.
 
 use crate::error::{Error, Result};
-use crate::vehicle::{Vehicle, VehicleModel};
+use crate::model::VehicleModel;
+use crate::vehicle::Vehicle;
 use nalgebra::{Matrix2, Vector2};
 
 /// Fewest key points of a vehicle: EPnP's minimum.
@@ -107,7 +108,8 @@ fn check_mirror_image(vehicle: &Vehicle) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vehicle::{KeyPoint, parse_models};
+    use crate::model::parse_models;
+    use crate::vehicle::KeyPoint;
 
     fn models() -> Vec<VehicleModel> {
         parse_models(include_str!("../data/vehicles.json")).unwrap()

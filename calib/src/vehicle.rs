@@ -1,39 +1,16 @@
 //! Vehicles as the solvers see them: labelled key points and the models they may fit.
 //!
-//! Owns key points, observed vehicles, vehicle models and the pairs made from both.
-//! Does not own reading labels (see `labelme`) nor judging them (see `validation`).
+//! Owns key points, observed vehicles and their pairs with a model's points. Does not own
+//! the models (see `model`), reading labels (see `labelme`) nor judging them (see `validation`).
 
 use crate::bodies::Body;
-use crate::error::{Error, Result};
+use crate::model::VehicleModel;
 use nalgebra::{Vector2, Vector3};
-use std::collections::BTreeMap;
-use std::path::Path;
-
-/// How many different key points a vehicle can have; labels run from 1 to this.
-/// 1 to 8 are the paper's (section Experimental Settings), 9 to 13 are seen from behind.
-pub const KEY_POINT_COUNT: usize = 13;
-
-/// What each key point is, in the order of its label.
-pub const KEY_POINT_NAMES: [&str; KEY_POINT_COUNT] = [
-    "left headlight",
-    "right headlight",
-    "front plate centre",
-    "front wiper centre",
-    "left wing mirror",
-    "right wing mirror",
-    "back left corner",
-    "back right corner",
-    "left tail light",
-    "right tail light",
-    "rear plate centre",
-    "rear window top centre",
-    "rear bumper centre",
-];
 
 /// One labelled point of a vehicle in the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeyPoint {
-    /// The label, 1 to [`KEY_POINT_COUNT`].
+    /// The label, 1 to [`crate::model::KEY_POINT_COUNT`].
     pub label: u8,
     /// Where it is in the picture, px.
     pub uv: Vector2<f64>,
@@ -50,16 +27,6 @@ pub struct Vehicle {
     pub points: Vec<KeyPoint>,
 }
 
-/// Key points of one vehicle model in the vehicle's own frame: origin near the back
-/// right corner on the road, x across, y negative towards the front, z up; metres.
-#[derive(Clone, Debug, PartialEq)]
-pub struct VehicleModel {
-    /// The model's name.
-    pub name: String,
-    /// Position of each key point by label - 1; `None` where the model has none.
-    pub points: Vec<Option<Vector3<f64>>>,
-}
-
 /// A key point known in the model (m) and in the picture (px).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
@@ -70,11 +37,6 @@ pub struct Pair {
 }
 
 impl VehicleModel {
-    /// The model's point with this label, m.
-    pub fn point(&self, label: u8) -> Option<Vector3<f64>> {
-        self.points.get(usize::from(label).checked_sub(1)?).copied().flatten()
-    }
-
     /// The pairs of a vehicle's labelled points with this model's points. Labels that
     /// the model lacks are left out.
     pub fn pairs(&self, vehicle: &Vehicle) -> Vec<Pair> {
@@ -83,74 +45,5 @@ impl VehicleModel {
             .iter()
             .filter_map(|k| Some(Pair { world: self.point(k.label)?, image: k.uv }))
             .collect()
-    }
-}
-
-/// Reads vehicle models: the paper's JSON, an object from name to a list of [x, y, z] in
-/// label order, metres. A `null` in the list is a key point the model does not have.
-pub fn read_models(path: &Path) -> Result<Vec<VehicleModel>> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| Error::Read { path: path.to_owned(), source })?;
-    parse_models(&text).map_err(|error| match error {
-        Error::Json { detail, .. } => Error::Json { path: path.to_owned(), detail },
-        other => other,
-    })
-}
-
-/// Parses vehicle models, see [`read_models`]. Models come in the order of their names.
-pub fn parse_models(json: &str) -> Result<Vec<VehicleModel>> {
-    let raw: BTreeMap<String, Vec<Option<[f64; 3]>>> = serde_json::from_str(json)
-        .map_err(|e| Error::Json { path: "vehicle models".into(), detail: e.to_string() })?;
-    let models: Vec<_> = raw
-        .into_iter()
-        .map(|(name, points)| {
-            let points = points.into_iter().map(|p| p.map(Vector3::from)).collect();
-            check_model(VehicleModel { name, points })
-        })
-        .collect::<Result<_>>()?;
-    if models.is_empty() {
-        return Err(Error::Model { model: "(none)".into(), problem: "the file is empty".into() });
-    }
-    Ok(models)
-}
-
-fn check_model(model: VehicleModel) -> Result<VehicleModel> {
-    let problem = if model.points.len() > KEY_POINT_COUNT {
-        Some(format!("{} points, at most {KEY_POINT_COUNT} are known", model.points.len()))
-    } else if model.points.iter().flatten().count() < 4 {
-        Some("fewer than 4 points".to_owned())
-    } else {
-        model.points.iter().zip(1..).find_map(|(p, label)| {
-            let p = (*p)?;
-            let sane = p.iter().all(|c| c.is_finite() && c.abs() < 30.0) && p.z >= 0.0;
-            (!sane).then(|| {
-                format!("point {label} at {:?} is not a place on a vehicle (m)", p.data.0[0])
-            })
-        })
-    };
-    match problem {
-        Some(problem) => Err(Error::Model { model: model.name, problem }),
-        None => Ok(model),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_shipped_models_are_readable() {
-        let models = parse_models(include_str!("../data/vehicles.json")).unwrap();
-        assert_eq!(models.len(), 5);
-        let bmw = models.iter().find(|m| m.name == "BMW_Series4").unwrap();
-        assert_eq!(bmw.point(1), Some(Vector3::new(0.28, -4.37, 0.6)));
-        assert_eq!(bmw.point(0), None);
-        assert_eq!(bmw.point(99), None);
-    }
-
-    #[test]
-    fn a_model_with_a_wrong_number_is_named() {
-        let error = parse_models(r#"{"T": [[0,0,0],[1,0,0],[0,1,0],[0,0,440]]}"#).unwrap_err();
-        assert!(error.to_string().contains("'T'") && error.to_string().contains("point 4"));
     }
 }

@@ -3,8 +3,8 @@
 //! Needs Python with OpenCV; skipped with a message where it is missing, which is a failure
 //! under VERGE_NO_SKIP=1.
 
+use mvcalib::baselines::epnp;
 use mvcalib::camera::{Lens, Pose};
-use mvcalib::epnp;
 use mvcalib::vehicle::Pair;
 use nalgebra::{Vector2, Vector3};
 use rand::{RngExt, SeedableRng};

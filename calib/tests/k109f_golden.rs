@@ -4,8 +4,8 @@
 mod k109f;
 
 use mvcalib::camera::Pose;
-use mvcalib::loss::{FineTuningLoss, Form, Weights, pack};
-use mvcalib::stages::{Settings, calibrate};
+use mvcalib::paper::loss::{FineTuningLoss, Form, Weights, pack};
+use mvcalib::paper::stages::{Settings, calibrate};
 
 fn published_loss(form: Form, alpha: f64) -> f64 {
     let problem = k109f::problem();

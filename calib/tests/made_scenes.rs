@@ -1,12 +1,15 @@
 //! The methods on made scenes with known truth: a small part of the table that
 //! `cargo run --release -p mvcalib --example made_scenes` prints whole.
 
+#[path = "../bench/made_scene.rs"]
+mod made_scene;
+
+use crate::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE, Seen, make};
 use mvcalib::bodies::Body;
 use mvcalib::joint::{self, Settings};
-use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE, Seen, make};
 use mvcalib::methods::{Method, Options, calibrate};
+use mvcalib::model::{VehicleModel, parse_models};
 use mvcalib::problem::Problem;
-use mvcalib::vehicle::{VehicleModel, parse_models};
 
 fn models() -> Vec<VehicleModel> {
     parse_models(include_str!("../data/vehicles.json")).unwrap()

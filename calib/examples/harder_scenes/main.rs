@@ -7,13 +7,15 @@
 
 #[path = "../made_scenes/judge.rs"]
 mod judge;
+#[path = "../../bench/made_scene.rs"]
+mod made_scene;
 
+use crate::made_scene::{Fleet, HK_LIKE, Kind, MadeScene, SAC_LIKE, make};
 use judge::{Judged, held};
 use mvcalib::bodies::Body;
 use mvcalib::joint::{self, Settings};
-use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, MadeScene, SAC_LIKE, make};
+use mvcalib::model::{VehicleModel, parse_models};
 use mvcalib::problem::Problem;
-use mvcalib::vehicle::{VehicleModel, parse_models};
 use rayon::prelude::*;
 
 /// First seed: scenes that nothing was chosen on.

@@ -1,7 +1,7 @@
 //! How well joint did on a made scene, and whether its stated error holds.
 
+use crate::made_scene::{Kind, MadeScene};
 use mvcalib::joint::Joint;
-use mvcalib::made_scene::{Kind, MadeScene};
 
 /// Standard errors to either side of a 90 % interval.
 pub const NINETY: f64 = 1.645;

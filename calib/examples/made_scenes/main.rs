@@ -10,15 +10,18 @@
 //! the ways to make a part of the table only.
 
 mod judge;
+#[path = "../../bench/made_scene.rs"]
+mod made_scene;
+
 mod oracle;
 mod ratio;
 mod stage_errors;
 
+use crate::made_scene::{Fleet, HK_LIKE, Kind, MadeScene, SAC_LIKE, make};
 use clap::{Parser, ValueEnum};
 use judge::{Judged, NINETY};
 use mvcalib::joint::{self, Joint};
-use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, MadeScene, SAC_LIKE, make};
-use mvcalib::vehicle::{VehicleModel, parse_models};
+use mvcalib::model::{VehicleModel, parse_models};
 use rayon::prelude::*;
 use stage_errors::{Kept, NAMES};
 use std::ops::Range;

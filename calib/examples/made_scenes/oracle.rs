@@ -5,14 +5,14 @@
 //! heading; it starts at the truth. The bound is the error of cameras drawn from the normal
 //! distribution that the Jacobian of the same problem gives at the truth.
 
+use crate::made_scene::{Fleet, Kind, MadeScene};
 use mvcalib::joint::cues::{CueNoise, RoadCues};
 use mvcalib::joint::residuals::Observed;
 use mvcalib::joint::scene::{CameraState, CameraStep, VehicleState};
 use mvcalib::joint::shape::{ShapePrior, Spread};
 use mvcalib::joint::solver::{Estimate, Objective};
 use mvcalib::joint::{self, Settings};
-use mvcalib::made_scene::{Fleet, Kind, MadeScene};
-use mvcalib::vehicle::VehicleModel;
+use mvcalib::model::VehicleModel;
 use nalgebra::Vector2;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

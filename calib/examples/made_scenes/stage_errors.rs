@@ -2,11 +2,11 @@
 //!
 //! Owns the kept file, so that a table which takes hours can be interrupted and go on.
 
+use crate::made_scene::{Kind, MadeScene};
 use mvcalib::camera::Camera;
-use mvcalib::fine_tuning;
-use mvcalib::loss::{Form, Weights};
-use mvcalib::made_scene::{Kind, MadeScene};
-use mvcalib::stages::{self, Settings};
+use mvcalib::paper::fine_tuning;
+use mvcalib::paper::loss::{Form, Weights};
+use mvcalib::paper::stages::{self, Settings};
 use std::collections::HashMap;
 use std::fs::{File, OpenOptions};
 use std::io::Write;

@@ -3,19 +3,20 @@
 //! Owns reading the inputs, the progress on a terminal, and the summary.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use mvcalib::calibration::{Calibration, TRUSTED};
-use mvcalib::canvas::picture_size;
 use mvcalib::error::{Error, Result};
+use mvcalib::files::calibration::Calibration;
+use mvcalib::files::labelme::{LabelFile, read_vehicles};
+use mvcalib::files::output::write_whole;
+use mvcalib::files::registration::FrameShifts;
 use mvcalib::joint::cues::RoadCues;
-use mvcalib::labelme::{LabelFile, read_vehicles};
-use mvcalib::loss::Form;
-use mvcalib::marks::Marks;
 use mvcalib::methods::{Method, Options, calibrate};
-use mvcalib::output::write_whole;
+use mvcalib::model::read_models;
+use mvcalib::paper::loss::Form;
+use mvcalib::paper::stages::Step;
 use mvcalib::problem::Problem;
-use mvcalib::registration::FrameShifts;
-use mvcalib::stages::Step;
-use mvcalib::vehicle::read_models;
+use mvcalib::report::canvas::picture_size;
+use mvcalib::road::marks::Marks;
+use mvcalib::trust::Trust;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `calibrate`.
@@ -34,7 +35,7 @@ pub struct Arguments {
     #[arg(long)]
     out: PathBuf,
     /// The method.
-    #[arg(long, value_enum, default_value = "mvcalib")]
+    #[arg(long, value_enum, default_value = "joint")]
     method: Method,
     /// Weight of the angle against the length in the fine-tuning loss.
     #[arg(long, default_value_t = 6.0)]
@@ -196,8 +197,10 @@ fn show(bar: &ProgressBar, step: Step) {
 fn summary(c: &Calibration, out: &Path) -> String {
     let camera = c.camera();
     let error = c.rel_err.map_or(String::new(), |e| format!(", lengths +- {:.1} %", 100.0 * e));
-    let trust =
-        if c.trust == TRUSTED { String::new() } else { format!("\nNOT TRUSTED: {}", c.trust) };
+    let trust = match &c.trust {
+        Trust::Ok => String::new(),
+        Trust::Refused(reason) => format!("\nNOT TRUSTED: {reason}"),
+    };
     format!(
         "{}: {} f {:.1} px, {:.1} m above the road, {:.1} degrees down{error} ({:.2} s){trust}",
         out.display(),

@@ -4,11 +4,13 @@
 //! by side.
 
 use super::print;
+use crate::compare::{Summary, rows, run as run_row};
+
 use indicatif::{ProgressBar, ProgressStyle};
-use mvcalib::compare::{Summary, rows, run as run_row};
+
+use crate::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE};
 use mvcalib::error::{Error, Result};
-use mvcalib::made_scene::{Fleet, HK_LIKE, Kind, SAC_LIKE};
-use mvcalib::vehicle::{parse_models, read_models};
+use mvcalib::model::{parse_models, read_models};
 use std::path::PathBuf;
 
 /// Arguments of `compare`.

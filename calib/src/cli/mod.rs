@@ -10,8 +10,8 @@ mod table;
 mod verify;
 
 use clap::{Parser, Subcommand};
-use mvcalib::calibration::Calibration;
 use mvcalib::error::{Error, Result};
+use mvcalib::files::calibration::Calibration;
 use std::path::PathBuf;
 
 /// Calibrates a traffic camera from labelled vehicles and makes its lane table.

@@ -1,14 +1,14 @@
 //! `mvcalib report`: a calibration as a picture or a page.
 
 use super::CalibrationFile;
-use mvcalib::canvas::Canvas;
 use mvcalib::error::{Error, Result};
-use mvcalib::labelme::{LabelFile, read_vehicles};
-use mvcalib::lane_table::lanes;
-use mvcalib::output::write_whole;
-use mvcalib::registration::FrameShifts;
+use mvcalib::files::labelme::{LabelFile, read_vehicles};
+use mvcalib::files::output::write_whole;
+use mvcalib::files::registration::FrameShifts;
+use mvcalib::model::read_models;
+use mvcalib::report::canvas::Canvas;
 use mvcalib::report::{draw_lanes, draw_metres, draw_vehicles, html, place};
-use mvcalib::vehicle::read_models;
+use mvcalib::road::lane_table::lanes;
 use std::path::PathBuf;
 
 /// Arguments of `report`.

@@ -2,14 +2,14 @@
 
 use super::CalibrationFile;
 use mvcalib::camera::Camera;
-use mvcalib::canvas::Canvas;
 use mvcalib::error::{Error, Result};
-use mvcalib::labelme::LabelFile;
-use mvcalib::lane_table::{DrawnLane, ignored, lanes, table};
-use mvcalib::output::write_whole;
+use mvcalib::files::calibration::Sha256;
+use mvcalib::files::labelme::LabelFile;
+use mvcalib::files::output::write_whole;
+use mvcalib::report::canvas::Canvas;
 use mvcalib::report::{draw_lanes, draw_metres};
-use mvcalib::scene_reference::{picture, pictures, reference};
-use sha2::{Digest, Sha256};
+use mvcalib::road::lane_table::{DrawnLane, ignored, lanes, table};
+use mvcalib::road::scene_reference::{picture, pictures, reference};
 use std::path::PathBuf;
 use verge::lane::{DEFAULT_CELL_LENGTH_M, MAX_CELL_LENGTH_M, MIN_CELL_LENGTH_M};
 use verge::scene::Reference;
@@ -98,7 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let file = LabelFile::read(&arguments.lanes)?;
     let what = arguments.lanes.display().to_string();
     let lanes = lanes(&file, &what, &calibration.camera())?;
-    let sha256 = Sha256::digest(arguments.calibration.bytes()?).into();
+    let sha256 = Sha256::of(&arguments.calibration.bytes()?);
     let fallback = arguments.out.file_stem().unwrap_or_default().to_string_lossy();
     let overlay = arguments.drawing(&calibration.camera(), &lanes)?;
     let scene = arguments.scene(&file, calibration.camera().image_size)?;

@@ -2,7 +2,7 @@
 
 use super::{CalibrationFile, print};
 use mvcalib::error::Result;
-use mvcalib::marks::Marks;
+use mvcalib::road::marks::Marks;
 use std::path::PathBuf;
 
 /// Arguments of `verify`.

@@ -5,8 +5,8 @@
 
 use super::scene::{CAMERA, CameraState};
 use crate::camera::Camera;
-use crate::labelme::LinePair;
-use crate::marks::Segment;
+use crate::files::labelme::LinePair;
+use crate::road::marks::Segment;
 use nalgebra::{DMatrix, DVector, Vector2, Vector3};
 
 /// What else is known of the road: terms that depend on the camera alone.

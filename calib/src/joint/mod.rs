@@ -17,9 +17,9 @@ pub mod solver;
 pub mod start;
 pub mod uncertainty;
 
-use crate::calibration::Uncertainty;
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::files::calibration::Uncertainty;
 use crate::problem::Problem;
 use cues::RoadCues;
 use fit::Fit;

@@ -121,7 +121,7 @@ impl CameraState {
         let rotation = Rotation3::from_matrix_unchecked(self.orientation().rotation);
         let translation = rotation * Vector3::new(0.0, 0.0, -self.height_m());
         let lens = Lens { k1: self.k1, ..Lens::centred(self.log_f.exp(), image_size) };
-        Camera { image_size, lens, pose: Pose { rotation, translation } }
+        Camera { image_size, lens, pose: Pose { rotation, translation }, crest_per_m: 0.0 }
     }
 }
 

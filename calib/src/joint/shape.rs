@@ -8,7 +8,8 @@
 //! The widths of the scale priors are assumptions about a fleet of passenger cars, stated
 //! here once; the principal components come from the models given.
 
-use crate::vehicle::{KEY_POINT_COUNT, Vehicle, VehicleModel};
+use crate::model::{KEY_POINT_COUNT, VehicleModel};
+use crate::vehicle::Vehicle;
 use nalgebra::{DMatrix, Vector3};
 
 /// Principal components kept: five models span four.
@@ -161,7 +162,7 @@ fn add_components(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vehicle::parse_models;
+    use crate::model::parse_models;
 
     #[test]
     fn every_known_model_is_a_likely_shape() {

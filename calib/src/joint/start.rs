@@ -5,9 +5,9 @@
 
 use super::scene::{CameraState, VehicleState};
 use super::shape::{Coefficients, ShapePrior};
+use crate::baselines::epnp;
+use crate::baselines::pose_refinement::{Free, refine};
 use crate::camera::Lens;
-use crate::epnp;
-use crate::pose_refinement::{Free, refine};
 use crate::vehicle::{Pair, Vehicle};
 use nalgebra::{Vector2, Vector3};
 

@@ -2,9 +2,9 @@
 
 #![allow(dead_code, reason = "each test binary uses a part of the fixture")]
 
-use mvcalib::labelme::read_vehicles;
+use mvcalib::files::labelme::read_vehicles;
+use mvcalib::model::read_models;
 use mvcalib::problem::Problem;
-use mvcalib::vehicle::read_models;
 use std::path::{Path, PathBuf};
 
 /// A file of `calib/data`.

@@ -53,7 +53,7 @@ pub struct Identity {
 impl Identity {
     /// The identity of a site that measures with this table and model.
     pub fn new(site: &str, table: &Description, model: &ModelRef) -> Self {
-        let (site, calibration) = (short_name(site), calibration(table));
+        let (site, calibration) = (Name::truncated(site), calibration(table));
         Self { site, calibration, model: model.clone() }
     }
 
@@ -85,17 +85,6 @@ fn calibration(table: &Description) -> CalibrationRef {
         sha256: table.calibration_sha256,
         rel_err: table.length_rel_err,
     }
-}
-
-/// The first [`crate::lane::MAX_NAME`] bytes of a name, at a character's end.
-fn short_name(text: &str) -> Name {
-    let mut name = Name::new();
-    for character in text.chars() {
-        if name.push(character).is_err() {
-            break;
-        }
-    }
-    name
 }
 
 /// What has become of the connection and of the windows given to it.
@@ -281,7 +270,7 @@ mod tests {
 
     #[test]
     fn long_names_are_cut_between_characters() {
-        let name = short_name(&"ä".repeat(40));
+        let name = Name::truncated(&"ä".repeat(40));
         assert_eq!(name.len(), crate::lane::MAX_NAME);
     }
 }

@@ -122,7 +122,7 @@ mod tests {
     fn a_disturbed_start_returns_to_the_truth() {
         let lens = Lens { f: 400.0, centre: Vector2::new(160.0, 120.0), k1: 0.0 };
         let pose = Pose::from_vectors(Vector3::new(1.9, 0.2, -0.2), Vector3::new(-4.0, 6.0, 20.0));
-        let model = crate::vehicle::parse_models(include_str!("../data/vehicles.json")).unwrap();
+        let model = crate::model::parse_models(include_str!("../../data/vehicles.json")).unwrap();
         let pairs: Vec<Pair> = model[0]
             .points
             .iter()

@@ -5,7 +5,8 @@
 
 use crate::bodies::Body;
 use crate::error::{Error, Result};
-use crate::vehicle::{KEY_POINT_COUNT, KeyPoint, Vehicle};
+use crate::model::KEY_POINT_COUNT;
+use crate::vehicle::{KeyPoint, Vehicle};
 use nalgebra::Vector2;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};

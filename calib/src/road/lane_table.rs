@@ -3,11 +3,11 @@
 //! Owns reading lane polygons and filling the cells. Does not own the file's format (the
 //! core crate's `lane` module) nor the centre lines (see `lane_axis`).
 
-use crate::calibration::Calibration;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::labelme::{LabelFile, Shape};
-use crate::lane_axis::LaneAxis;
+use crate::files::calibration::{Calibration, Sha256};
+use crate::files::labelme::{LabelFile, Shape};
+use crate::road::lane_axis::LaneAxis;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 use verge::lane::{Description, Lane, LaneTableError, MAX_LANE_LENGTH_M, Name, Place};
@@ -111,7 +111,7 @@ fn lane(shape: &Shape, camera: &Camera) -> Result<DrawnLane> {
 pub fn table(
     calibration: &Calibration,
     lanes: &[DrawnLane],
-    sha256: [u8; 32],
+    sha256: Sha256,
     fallback_id: &str,
     scene: Option<&Reference>,
     cell_length_m: f32,
@@ -129,14 +129,13 @@ pub fn table(
         direction: l.direction,
         length_m: l.axis.length_m() as f32,
     };
-    let hash: String = sha256[..4].iter().map(|b| format!("{b:02x}")).collect();
     let description = Description {
-        camera_id: name(calibration.camera_id.as_deref().unwrap_or(fallback_id)),
+        camera_id: Name::truncated(calibration.camera_id.as_deref().unwrap_or(fallback_id)),
         image_size,
         lanes: lanes.iter().map(described).collect(),
         length_rel_err: calibration.rel_err.map(|e| e as f32),
-        calibration_id: name(&format!("{}-{hash}", calibration.method)),
-        calibration_sha256: sha256,
+        calibration_id: Name::truncated(&format!("{}-{sha256}", calibration.method)),
+        calibration_sha256: sha256.0,
         cell_length_m,
     };
     let mut bytes = vec![0; verge::lane::encoded_len(&description, scene)];
@@ -145,14 +144,6 @@ pub fn table(
     let length = verge::lane::encode(&description, scene, at, &mut bytes).map_err(refused)?;
     bytes.truncate(length);
     Ok(bytes)
-}
-
-/// A name cut to the length that a table holds.
-fn name(text: &str) -> Name {
-    let mut name = Name::new();
-    // Stops at the first character that does not fit: a name is for people.
-    let _ = text.chars().try_for_each(|c| name.push(c));
-    name
 }
 
 /// What stands in every cell, in row order.
@@ -232,7 +223,7 @@ pub(crate) fn contains(polygon: &[Vector2<f64>], p: Vector2<f64>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lane_axis::tests::{camera, picture};
+    use crate::road::lane_axis::tests::{camera, picture};
     use verge::lane::LaneTable;
     use verge::units::ImagePoint;
 
@@ -262,7 +253,7 @@ mod tests {
         let lanes = lanes(&file, "lanes.json", &camera).unwrap();
         let mut calibration = Calibration::of_camera(&camera, "joint");
         calibration.rel_err = Some(0.057);
-        let bytes = table(&calibration, &lanes, [7; 32], "camera", None, 10.0).unwrap();
+        let bytes = table(&calibration, &lanes, Sha256([7; 32]), "camera", None, 10.0).unwrap();
         let table = LaneTable::parse(&bytes[..]).unwrap();
         let description = table.description();
         assert_eq!(description.lanes.len(), 2);
@@ -288,7 +279,8 @@ mod tests {
         ]);
         let drawn = lanes(&both, "lanes.json", &camera).unwrap();
         let calibration = Calibration::of_camera(&camera, "joint");
-        let error = table(&calibration, &drawn, [0; 32], "c", None, 10.0).unwrap_err().to_string();
+        let error =
+            table(&calibration, &drawn, Sha256([0; 32]), "c", None, 10.0).unwrap_err().to_string();
         assert!(error.contains("lane 1") && error.contains("lane 4"), "{error}");
         for label in ["kerb", "lane 0", "lane 9"] {
             assert!(lanes(&file(&[(label, "", NEAR)]), "lanes.json", &camera).is_err());

@@ -3,9 +3,9 @@
 //!
 //! Owns the searches and the choice. Does not own the loss or the optimiser.
 
-use crate::cmaes::{self, Point};
-use crate::loss::{FineTuningLoss, Weights, pack};
-use crate::model_matching::{Matched, Search, matched};
+use crate::paper::cmaes::{self, Point};
+use crate::paper::loss::{FineTuningLoss, Weights, pack};
+use crate::paper::model_matching::{Matched, Search, matched};
 use crate::problem::Problem;
 use rayon::prelude::*;
 

@@ -119,7 +119,7 @@ impl LaneAxis {
     pub fn span_m(camera: &Camera, p: Vector2<f64>, tangent: Vector2<f64>) -> f64 {
         let world = Vector3::new(p.x, p.y, 0.0);
         let direction = camera.pose.rotation * Vector3::new(tangent.x, tangent.y, 0.0);
-        let per_metre = camera.lens.jacobian(&camera.pose.transform(&world)) * direction;
+        let per_metre = camera.lens.jacobian(&camera.transform(&world)) * direction;
         1.0 / per_metre.norm()
     }
 }
@@ -204,6 +204,7 @@ pub(crate) mod tests {
             image_size,
             lens: Lens::centred(350.0, image_size),
             pose: Pose { rotation, translation },
+            crest_per_m: 0.0,
         }
     }
 

@@ -12,7 +12,7 @@
 //! weigh the same.
 
 use crate::camera::Pose;
-use crate::cmaes::Point;
+use crate::paper::cmaes::Point;
 use crate::vehicle::Pair;
 use nalgebra::{Rotation3, Vector2, Vector3};
 

@@ -4,14 +4,14 @@
 //! reprojection error, then the vehicle whose camera fits all the others best by the
 //! fine-tuning loss, which is how the paper scores the stages too. Does not own a solver.
 
+use crate::baselines::upnp::Solution;
 use crate::camera::Lens;
-use crate::cmaes::Termination;
 use crate::error::{Error, Result};
-use crate::fine_tuning;
-use crate::loss::{Weights, pack};
-use crate::model_matching::{Matched, best_of_each};
+use crate::paper::cmaes::Termination;
+use crate::paper::fine_tuning;
+use crate::paper::loss::{Weights, pack};
+use crate::paper::model_matching::{Matched, best_of_each};
 use crate::problem::Problem;
-use crate::upnp::Solution;
 use crate::vehicle::Pair;
 use rayon::prelude::*;
 

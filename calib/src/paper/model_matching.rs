@@ -4,9 +4,9 @@
 //! Owns the searches and the choice. Does not own the loss or the optimiser.
 
 use crate::camera::Pose;
-use crate::candidates::Candidate;
-use crate::cmaes::{self, Outcome, Parameters, Point, Termination};
-use crate::loss::{Form, pack, projection_loss, unpack};
+use crate::paper::candidates::Candidate;
+use crate::paper::cmaes::{self, Outcome, Parameters, Point, Termination};
+use crate::paper::loss::{Form, pack, projection_loss, unpack};
 use crate::problem::Problem;
 use rayon::prelude::*;
 

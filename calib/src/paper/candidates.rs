@@ -4,8 +4,8 @@
 //! Owns the two ways to make EPnP robust: RANSAC as the paper says, and the best of all
 //! 4-subsets as the authors' program does. Does not own EPnP itself.
 
+use crate::baselines::epnp;
 use crate::camera::{Lens, Pose};
-use crate::epnp;
 use crate::error::{Error, Result};
 use crate::problem::Problem;
 use crate::vehicle::Pair;

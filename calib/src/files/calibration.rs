@@ -11,6 +11,7 @@
 //! | `image_size` | px | width and height |
 //! | `f`, `principal_point`, `k1` | px, px, 1 | the lens, see [`crate::camera`] |
 //! | `rvec`, `tvec` | rad, m | `cam_from_world`, as OpenCV writes it |
+//! | `crest_per_m` | 1/m | curvature of the road's profile (optional), see [`Camera`] |
 //! | `loss` | | the method's own objective at the result |
 //! | `rel_err` | 1 | standard error of a length on the road, as a part of it, or null |
 //! | `vehicles` | | name and matched model of each vehicle |
@@ -24,16 +25,35 @@
 
 use crate::camera::{Camera, Lens, Pose};
 use crate::error::{Error, Result};
+use crate::trust::Trust;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
+use sha2::Digest;
+use std::fmt;
 use std::path::Path;
+
+/// The SHA-256 of a file, by which a lane table names its calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sha256(pub [u8; 32]);
+
+impl Sha256 {
+    /// Of these bytes.
+    pub fn of(bytes: &[u8]) -> Self {
+        Sha256(sha2::Sha256::digest(bytes).into())
+    }
+}
+
+/// Eight hexadecimal digits, for people.
+impl fmt::Display for Sha256 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0[..4].iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
 
 /// Value of the field `format`.
 pub const FORMAT: &str = "verge-calibration";
 /// The version that this program writes, and the newest it reads.
 pub const VERSION: u32 = 1;
-/// Value of the field `trust` of a calibration that may be used.
-pub const TRUSTED: &str = "ok";
 
 /// One calibration file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,6 +87,9 @@ pub struct Calibration {
     /// Translation of `cam_from_world`, m.
     #[serde(deserialize_with = "flat_or_column")]
     pub tvec: [f64; 3],
+    /// Curvature of the road's profile, see [`Camera::crest_per_m`].
+    #[serde(default, skip_serializing_if = "is_level")]
+    pub crest_per_m: f64,
     /// The method's objective at the result; its unit is the method's.
     #[serde(default)]
     pub loss: Option<f64>,
@@ -91,9 +114,9 @@ pub struct Calibration {
     /// What the joint method says of its own error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Uncertainty>,
-    /// [`TRUSTED`], or the reason against it.
-    #[serde(default = "trusted")]
-    pub trust: String,
+    /// Whether it may be used.
+    #[serde(default)]
+    pub trust: Trust,
 }
 
 /// A vehicle and the model that it matched.
@@ -168,6 +191,7 @@ impl Calibration {
             k1: camera.lens.k1,
             rvec: camera.pose.rvec().into(),
             tvec: camera.pose.translation.into(),
+            crest_per_m: camera.crest_per_m,
             loss: None,
             rel_err: None,
             vehicles: Vec::new(),
@@ -176,7 +200,7 @@ impl Calibration {
             wall_time_s: 0.0,
             stages: None,
             uncertainty: None,
-            trust: trusted(),
+            trust: Trust::Ok,
         }
     }
 
@@ -205,8 +229,13 @@ impl Calibration {
 
     fn problem(&self) -> Option<String> {
         let finite = self.rvec.iter().chain(&self.tvec).all(|x| x.is_finite());
-        if !finite || self.f <= 0.0 || !self.f.is_finite() || !self.k1.is_finite() {
-            return Some("f, rvec, tvec or k1 is not a usable number".into());
+        if !finite
+            || self.f <= 0.0
+            || !self.f.is_finite()
+            || !self.k1.is_finite()
+            || !self.crest_per_m.is_finite()
+        {
+            return Some("f, rvec, tvec, k1 or crest_per_m is not a usable number".into());
         }
         if self.image_size.is_some_and(|s| s.contains(&0)) {
             return Some("image_size is empty".into());
@@ -223,12 +252,16 @@ impl Calibration {
             image_size,
             lens: Lens { centre, k1: self.k1, ..lens },
             pose: Pose::from_vectors(Vector3::from(self.rvec), Vector3::from(self.tvec)),
+            crest_per_m: self.crest_per_m,
         }
     }
 
     /// An error when the calibration says of itself that it cannot be trusted.
     pub fn require_trust(&self) -> Result<()> {
-        if self.trust == TRUSTED { Ok(()) } else { Err(Error::NotTrusted(self.trust.clone())) }
+        match &self.trust {
+            Trust::Ok => Ok(()),
+            Trust::Refused(reason) => Err(Error::NotTrusted(reason.clone())),
+        }
     }
 
     /// The file's text.
@@ -244,12 +277,12 @@ fn format_name() -> String {
     FORMAT.to_owned()
 }
 
-fn version() -> u32 {
-    VERSION
+fn is_level(crest_per_m: &f64) -> bool {
+    *crest_per_m == 0.0
 }
 
-fn trusted() -> String {
-    TRUSTED.to_owned()
+fn version() -> u32 {
+    VERSION
 }
 
 fn flat_or_column<'de, D: serde::Deserializer<'de>>(
@@ -270,6 +303,7 @@ fn flat_or_column<'de, D: serde::Deserializer<'de>>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trust::Reason;
 
     fn parse(json: &str) -> serde_json::Result<Calibration> {
         serde_json::from_str(json)
@@ -292,6 +326,7 @@ mod tests {
                 Vector3::new(1.8936, 0.1869, -0.1925),
                 Vector3::new(-3.901, 6.036, 44.410),
             ),
+            crest_per_m: 1e-4,
         };
         let written = Calibration::of_camera(&camera, "joint");
         let read = parse(&written.to_json()).unwrap();
@@ -303,9 +338,9 @@ mod tests {
     #[test]
     fn an_untrusted_calibration_is_refused_with_its_reason() {
         let mut c = parse(r#"{"f":400,"rvec":[1,2,3],"tvec":[4,5,6]}"#).unwrap();
-        c.trust = "one vehicle only".into();
+        c.trust = Trust::Refused(Reason::FewVehicles { actual: 1 });
         let error = c.require_trust().unwrap_err();
-        assert!(error.to_string().contains("one vehicle only"));
+        assert!(error.to_string().contains("1 vehicle(s)"));
         assert_eq!(error.exit_code(), 65);
     }
 }

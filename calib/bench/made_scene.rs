@@ -9,13 +9,14 @@
 //! otherwise ground is flat, the principal point in the middle, every vehicle a car; the lens
 //! has no distortion, label noise is normal: kinder than a street in all five.
 
-use crate::bodies::Body;
-use crate::camera::Camera;
-use crate::joint::scene::CameraState;
-use crate::joint::shape::{OTHER_BODIES, Spread};
-use crate::marks::{Mark, Marks};
-use crate::problem::Problem;
-use crate::vehicle::{KeyPoint, Vehicle, VehicleModel};
+use mvcalib::bodies::Body;
+use mvcalib::camera::Camera;
+use mvcalib::joint::scene::CameraState;
+use mvcalib::joint::shape::{OTHER_BODIES, Spread};
+use mvcalib::model::VehicleModel;
+use mvcalib::problem::Problem;
+use mvcalib::road::marks::{Mark, Marks};
+use mvcalib::vehicle::{KeyPoint, Vehicle};
 use nalgebra::{Rotation3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -274,7 +275,7 @@ fn marks(kind: &Kind, camera: &Camera, road: Road, near: f64, far: f64) -> Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vehicle::parse_models;
+    use mvcalib::model::parse_models;
 
     #[test]
     fn a_scene_follows_from_its_seed_and_its_marks_have_their_length() {

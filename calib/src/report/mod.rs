@@ -4,11 +4,14 @@
 //! around it (numbers, residuals, the losses of the three stages as in the paper's figure).
 //! Does not own the calibration.
 
-use crate::calibration::{Calibration, StageLoss};
+pub mod canvas;
+
 use crate::camera::Camera;
-use crate::canvas::{Canvas, Colour};
-use crate::lane_table::DrawnLane;
-use crate::vehicle::{Pair, Vehicle, VehicleModel};
+use crate::files::calibration::{Calibration, StageLoss};
+use crate::model::VehicleModel;
+use crate::road::lane_table::DrawnLane;
+use crate::vehicle::{Pair, Vehicle};
+use canvas::{Canvas, Colour};
 use nalgebra::{Rotation2, Vector2, Vector3};
 use std::fmt::Write;
 
@@ -146,7 +149,7 @@ pub fn html(calibration: &Calibration, picture: &[u8], placed: &[Placed]) -> Str
         camera.height_m(),
         camera.tilt_rad().to_degrees(),
         or_dash(calibration.rel_err.map(|e| 100.0 * e), " %"),
-        escape(&calibration.trust),
+        escape(&calibration.trust.to_string()),
         base64(picture),
     );
     if let Some(u) = &calibration.uncertainty {

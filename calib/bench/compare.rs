@@ -3,11 +3,11 @@
 //! Owns running every method over many scenes and the medians. Does not own the scenes
 //! (see `made_scene`) nor the methods.
 
-use crate::loss::Form;
-use crate::made_scene::{Kind, MadeScene, make};
-use crate::marks::Accuracy;
-use crate::methods::{Method, Options, calibrate};
-use crate::vehicle::VehicleModel;
+use super::made_scene::{Kind, MadeScene, make};
+use mvcalib::methods::{Method, Options, calibrate};
+use mvcalib::model::VehicleModel;
+use mvcalib::paper::loss::Form;
+use mvcalib::road::marks::Accuracy;
 use rayon::prelude::*;
 
 /// A method as it stands in a row of the table.

@@ -11,8 +11,8 @@
 
 mod exhaustive;
 
+use crate::baselines::epnp::{ControlPoints, kernel, mean_error_px, pairs_of, rigid_transform};
 use crate::camera::{Lens, Pose};
-use crate::epnp::{ControlPoints, kernel, mean_error_px, pairs_of, rigid_transform};
 use crate::vehicle::Pair;
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::ops::RangeInclusive;

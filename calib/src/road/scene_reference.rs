@@ -5,7 +5,7 @@
 //! reference's bytes nor the search (the core crate's `scene` module does).
 
 use crate::error::{Error, Result};
-use crate::lane_table::contains;
+use crate::road::lane_table::contains;
 use nalgebra::Vector2;
 use std::path::{Path, PathBuf};
 use verge::scene::{Cell, Eye, Field, Grid, Pose, Reference, search};

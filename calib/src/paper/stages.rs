@@ -3,11 +3,11 @@
 //! Owns the order of the three stages and their settings. Does not own any stage.
 
 use crate::camera::Camera;
-use crate::candidates::{self, Candidate, Strategy};
 use crate::error::{Error, Result};
-use crate::fine_tuning;
-use crate::loss::{Form, Weights, pack};
-use crate::model_matching::{self, Bounds, Matched, Search};
+use crate::paper::candidates::{self, Candidate, Strategy};
+use crate::paper::fine_tuning;
+use crate::paper::loss::{Form, Weights, pack};
+use crate::paper::model_matching::{self, Bounds, Matched, Search};
 use crate::problem::{FocalPrior, Problem};
 
 /// Everything that MVCalib can be told.
@@ -132,7 +132,7 @@ impl Stages {
 }
 
 fn camera(problem: &Problem, f: f64, pose: crate::camera::Pose) -> Camera {
-    Camera { image_size: problem.image_size, lens: problem.lens(f), pose }
+    Camera { image_size: problem.image_size, lens: problem.lens(f), pose, crest_per_m: 0.0 }
 }
 
 /// Runs the three stages.

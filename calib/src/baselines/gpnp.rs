@@ -10,10 +10,10 @@
 //! here a grid over (log t, log f) finds the same minima and Newton steps polish them,
 //! which loses nothing but elegance in two unknowns. Needs at least 4 points.
 
+use crate::baselines::epnp::{mean_error_px, rigid_transform};
+use crate::baselines::pose_refinement::{Free, refine};
+use crate::baselines::upnp::Solution;
 use crate::camera::Lens;
-use crate::epnp::{mean_error_px, rigid_transform};
-use crate::pose_refinement::{Free, refine};
-use crate::upnp::Solution;
 use crate::vehicle::Pair;
 use nalgebra::{Matrix2, Vector2, Vector3};
 

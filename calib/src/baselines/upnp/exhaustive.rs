@@ -124,7 +124,7 @@ fn quadrics() -> Vec<[(usize, usize); 2]> {
 }
 
 fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
-    crate::epnp::pairs_of(n)
+    crate::baselines::epnp::pairs_of(n)
 }
 
 /// Orthonormal vectors that the matrix all but annihilates, as columns.

@@ -7,28 +7,31 @@
 //! | offset | bytes | field |
 //! |---|---|---|
 //! | 0 | 8 | magic `VERGELUT` |
-//! | 8 | 1 | format version, 1 to 3 |
+//! | 8 | 1 | format version, 1 to 4 |
 //! | 9 | 1 | reserved, 0 |
 //! | 10 | 2 | length M of the description |
-//! | 12 | M | description: [`Description`] in postcard; version 3: then `cell_length_m`, f32 |
+//! | 12 | M | description: [`Description`] in postcard; from version 3: then `cell_length_m`, f32; from version 4: then the errors of lengths (`lane/errors.rs`) |
 //! | 12+M | 5 N | N = width x height cells in row order |
-//! | 12+M+5N | 4 | from version 2: length R of the scene's reference; in version 3 it may be 0 |
+//! | 12+M+5N | 4 | from version 2: length R of the scene's reference; from version 3 it may be 0 |
 //! | 16+M+5N | R | from version 2: [`crate::scene::Reference`] |
 //! | the last | 4 | CRC-32 (ISO-HDLC) of all bytes before |
 //!
 //! Version 1 is a table without a reference: the camera is then not checked for having
 //! moved. Versions 1 and 2 say nothing of the cells along a lane, which are then 10 m long.
+//! Versions 1 to 3 state one error for all lengths, version 4 one for each lane and cell.
 //! The lowest version that holds a table is written, so that older programs read it.
 //!
 //! Numbers are little-endian. A cell is `lane: u8` (0: no lane), `s_cm: u16` (distance
 //! along the lane in cm, to 655 m) and `span_mm: u16` (road length along the lane that
 //! one pixel spans there, in mm, to 65 m).
 
+mod errors;
 mod name;
 mod write;
 
+pub use errors::LaneErrors;
 pub use name::{Name, NameTooLong};
-pub use write::{encode, encoded_len};
+pub use write::{encode, encode_with_errors, encoded_len, encoded_len_with_errors};
 
 use crate::scene::{MAX_REFERENCE, Reference, ReferenceError};
 use crate::units::{Direction, ImagePoint, ImageSize, LaneId, MAX_LANES};
@@ -39,11 +42,13 @@ use serde::{Deserialize, Serialize};
 /// First bytes of every lane table.
 pub const MAGIC: [u8; 8] = *b"VERGELUT";
 /// The newest format that this code reads and writes.
-pub const VERSION: u8 = 3;
+pub const VERSION: u8 = 4;
 /// The format of a table without a reference of the scene.
 const VERSION_BARE: u8 = 1;
 /// The format of a table with one, and with cells of the default length.
 const VERSION_SCENE: u8 = 2;
+/// The format of a table that states the length of its cells along a lane.
+const VERSION_CELLS: u8 = 3;
 /// Length of the cells by which density is told along a lane, where a table says nothing, m.
 pub const DEFAULT_CELL_LENGTH_M: f32 = 10.0;
 /// Shortest such cell, m: a vehicle's place is not known better.
@@ -214,6 +219,7 @@ impl core::error::Error for LaneTableError {}
 pub struct LaneTable<B> {
     description: Description,
     bytes: B,
+    errors_at: usize,
     cells_at: usize,
 }
 
@@ -241,9 +247,13 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
         let Some(encoded) = body.get(HEADER..cells_at) else {
             return Err(too_short(cells_at + TRAILER));
         };
+        let mut errors_at = cells_at;
         let description = match postcard::take_from_bytes::<Description>(encoded) {
-            Ok((description, [])) if version < VERSION => description,
-            Ok((description, &[l0, l1, l2, l3])) if version == VERSION => {
+            Ok((description, [])) if version < VERSION_CELLS => description,
+            Ok((description, &[l0, l1, l2, l3, ref errors @ ..]))
+                if version == VERSION || (version == VERSION_CELLS && errors.is_empty()) =>
+            {
+                errors_at = cells_at - errors.len();
                 Description { cell_length_m: f32::from_le_bytes([l0, l1, l2, l3]), ..description }
             }
             // A changed byte is told apart from a writer's mistake by the checksum.
@@ -270,8 +280,12 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
             return Err(LaneTableError::Value("the reserved byte is not 0"));
         }
         description.check()?;
+        if version == VERSION {
+            let block = body.get(errors_at..cells_at).unwrap_or(&[]);
+            errors::check(block, description.lanes.len())?;
+        }
         check_cells(&description, body.get(cells_at..scene_at).unwrap_or(&[]))?;
-        Ok(Self { description, bytes: table, cells_at })
+        Ok(Self { description, bytes: table, errors_at, cells_at })
     }
 
     /// The reference of the static scene; `None` where the table has none.
@@ -284,7 +298,7 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
         let end = bytes.len().saturating_sub(TRAILER);
         match bytes.get(scene_at..end) {
             None => Ok(None),
-            Some([]) if self.version() == VERSION => Ok(None),
+            Some([]) if self.version() >= VERSION_CELLS => Ok(None),
             Some(bytes) => Reference::parse(bytes).map(Some).map_err(LaneTableError::Scene),
         }
     }
@@ -297,6 +311,24 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
     /// What the table says about itself.
     pub const fn description(&self) -> &Description {
         &self.description
+    }
+
+    /// One standard error of the length of a lane, as a part of it: its own where the table
+    /// states it (version 4), else the one of the whole calibration. The density of the lane
+    /// has the same relative error from calibration.
+    pub fn lane_rel_err(&self, id: LaneId) -> Option<f32> {
+        self.stated(id, None).or(self.description.length_rel_err)
+    }
+
+    /// The same for one of the equal cells of a lane, counted from its upstream end as
+    /// [`crate::density::Division`] does.
+    pub fn cell_rel_err(&self, id: LaneId, cell: usize) -> Option<f32> {
+        self.stated(id, Some(cell)).or_else(|| self.lane_rel_err(id))
+    }
+
+    fn stated(&self, id: LaneId, cell: Option<usize>) -> Option<f32> {
+        let lane = self.description.lanes.iter().position(|lane| lane.id == id)?;
+        errors::find(self.bytes.as_ref().get(self.errors_at..self.cells_at)?, lane, cell)
     }
 
     /// Where an image point lies on the road: `None` outside the lanes and the picture.

@@ -9,6 +9,8 @@
 //! otherwise ground is flat, the principal point in the middle, every vehicle a car; the lens
 //! has no distortion, label noise is normal: kinder than a street in all five.
 
+#![allow(dead_code, reason = "each program that includes this file uses a part of it")]
+
 use mvcalib::bodies::Body;
 use mvcalib::camera::Camera;
 use mvcalib::joint::scene::CameraState;
@@ -267,7 +269,7 @@ fn marks(kind: &Kind, camera: &Camera, road: Road, near: f64, far: f64) -> Optio
                 inside.then(|| uv.into())
             })
             .collect();
-        (points.len() > 1).then_some(Mark { points, segment_length_m: kind.segment_m })
+        (points.len() > 1).then(|| Mark::new(points, kind.segment_m))
     };
     Some(Marks { marks: vec![line(-1.75)?, line(1.75)?] })
 }

@@ -16,6 +16,7 @@ use crate::paper::loss::{Form, Weights, pack};
 use crate::paper::model_matching::{Bounds, Matched};
 use crate::paper::stages::{self, Settings, Stages, Step};
 use crate::problem::{FocalPrior, Problem};
+use crate::road::fit::{self, Cues};
 use crate::trust::{Evidence, MIN_VEHICLES, Reason, Trust, verdict};
 use std::time::Instant;
 
@@ -30,6 +31,9 @@ pub enum Method {
     Vm,
     /// One camera over one road, all vehicles at once; states its own error.
     Joint,
+    /// Lengths, lane lines and traffic on the road, labelled vehicles where there are some;
+    /// states its own error.
+    Road,
     /// EPnP at the default focal length; the same as `cg`.
     Epnp,
     /// Focal length and pose of single vehicles, Penate-Sanchez et al. 2013.
@@ -50,6 +54,7 @@ impl Method {
             Method::Cg => "cg",
             Method::Vm => "vm",
             Method::Joint => "joint",
+            Method::Road => fit::METHOD,
             Method::Epnp => "epnp",
             Method::Upnp => "upnp",
             Method::UpnpGn => "upnp-gn",
@@ -80,6 +85,8 @@ pub struct Options {
     pub sway_px: f64,
     /// Lines and marks on the road (joint only).
     pub cues: RoadCues,
+    /// What the road shows (road only).
+    pub road: Cues,
 }
 
 impl Options {
@@ -95,6 +102,7 @@ impl Options {
             distortion: false,
             sway_px: 0.0,
             cues: RoadCues::default(),
+            road: Cues::default(),
         }
     }
 
@@ -121,11 +129,12 @@ pub fn calibrate(
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<Calibration> {
     let start = Instant::now();
-    if options.method != Method::Joint {
+    if !matches!(options.method, Method::Joint | Method::Road) {
         only_cars(problem, options.method)?;
     }
     let mut calibration = match options.method {
         Method::Joint => of_joint(problem, options, progress)?,
+        Method::Road => of_road(problem, options, progress)?,
         Method::Upnp => of_single(problem, options, upnp::solve, false)?,
         Method::UpnpGn => of_single(problem, options, upnp::solve, true)?,
         Method::Gpnp => of_single(problem, options, gpnp::solve, false)?,
@@ -166,13 +175,7 @@ fn of_joint(
     calibration.rel_err = joint.rel_err();
     calibration.evaluations = joint.evaluations;
     let named = || problem.vehicles.iter().map(|v| v.name.as_str()).zip(&joint.misfit_px);
-    calibration.vehicles = named()
-        .map(|(name, misfit)| VehicleMatch {
-            name: name.to_owned(),
-            model: None,
-            rms_px: Some(*misfit),
-        })
-        .collect();
+    calibration.vehicles = residuals(problem, &joint);
     calibration.uncertainty = Some(joint.uncertainty());
     let worst = named().max_by(|a, b| a.1.total_cmp(b.1)).map(|(name, misfit)| (name, *misfit));
     // A length that cannot be stated is no better than one that is badly uncertain.
@@ -183,6 +186,32 @@ fn of_joint(
         None => verdict(problem, &camera, &evidence),
     };
     Ok(calibration)
+}
+
+/// What labelled vehicles say takes the place of the road fit's prior.
+fn of_road(
+    problem: &Problem,
+    options: &Options,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Result<Calibration> {
+    progress(Step::Joint);
+    let settings =
+        joint::Settings { f0: options.f0, sway_px: options.sway_px, ..Default::default() };
+    let joint = joint::calibrate(problem, &settings)?;
+    let cues = Cues { labelled: Some(joint.labelled()), ..options.road.clone() };
+    let mut calibration = fit::fit(&cues, problem.image_size)?.calibration();
+    calibration.vehicles = residuals(problem, &joint);
+    Ok(calibration)
+}
+
+/// Each vehicle with the misfit of its key points.
+fn residuals(problem: &Problem, joint: &joint::Joint) -> Vec<VehicleMatch> {
+    let of = |(vehicle, misfit): (&crate::vehicle::Vehicle, &f64)| VehicleMatch {
+        name: vehicle.name.clone(),
+        model: None,
+        rms_px: Some(*misfit),
+    };
+    problem.vehicles.iter().zip(&joint.misfit_px).map(of).collect()
 }
 
 /// One camera over a road in a thousand is this strange (chi squared of two).

@@ -190,6 +190,59 @@ fn the_length_of_cells_is_version_3_and_comes_back() {
     assert_eq!(bare.description().cell_length_m, 10.0);
 }
 
+/// A table that states the errors of its lanes.
+fn with_errors(errors: &[LaneErrors<'_>]) -> Result<std::vec::Vec<u8>, LaneTableError> {
+    let mut bytes = std::vec![0; encoded_len_with_errors(&description(), errors, None)];
+    encode_with_errors(&description(), errors, None, cell, &mut bytes)?;
+    Ok(bytes)
+}
+
+#[test]
+fn the_errors_of_lanes_and_cells_are_version_4_and_come_back() {
+    let near_to_far = [0.01, 0.0225, 0.04, 9.0];
+    let errors = [
+        LaneErrors { lane: Some(0.0312), cells: &near_to_far },
+        LaneErrors { lane: None, cells: &[] },
+    ];
+    let bytes = with_errors(&errors).expect("right errors");
+    assert_eq!(bytes[8], 4);
+    let table = LaneTable::parse(&bytes[..]).expect("just written");
+    assert_eq!(table.description(), &description());
+    assert_eq!(table.scene().expect("whole"), None);
+    let near = |a: Option<f32>, b: f32| a.is_some_and(|a| (a - b).abs() < 1e-6);
+    assert!(near(table.lane_rel_err(lane(1)), 0.0312));
+    assert!(near(table.cell_rel_err(lane(1), 1), 0.0225));
+    assert!(near(table.cell_rel_err(lane(1), 3), 6.5534), "held at the largest");
+    assert!(near(table.cell_rel_err(lane(1), 4), 0.0312), "beyond the cells the lane's");
+    // What a lane does not state is the calibration's.
+    assert!(near(table.lane_rel_err(lane(3)), 0.0625));
+    assert!(near(table.cell_rel_err(lane(3), 0), 0.0625));
+    // The block behind the description, byte by byte.
+    let block = [4, 0x38, 1, 100, 0, 225, 0, 0x90, 1, 0xfe, 0xff, 0, 0xff, 0xff];
+    let at = bytes.windows(block.len()).position(|w| w == block);
+    assert!(at.is_some(), "the block stands in the file");
+    let older = encoded();
+    assert!(near(LaneTable::parse(&older[..]).expect("older").lane_rel_err(lane(1)), 0.0625));
+}
+
+#[test]
+fn wrong_errors_are_neither_written_nor_read() {
+    let one = LaneErrors { lane: Some(0.03), cells: &[] };
+    let negative = LaneErrors { lane: Some(-0.1), ..one };
+    let unknown = LaneErrors { lane: None, cells: &[f32::NAN] };
+    for wrong in [&[one][..], &[one, negative], &[one, unknown], &[one, one, one]] {
+        assert!(matches!(with_errors(wrong), Err(LaneTableError::Value(_))), "{wrong:?}");
+    }
+    let bytes = with_errors(&[one, one]).expect("right errors");
+    let block = 12 + usize::from(u16::from_le_bytes([bytes[10], bytes[11]])) - 6;
+    let mut longer = bytes.clone();
+    longer[block] = 1;
+    let body = longer.len() - TRAILER;
+    let checksum = CRC.checksum(&longer[..body]).to_le_bytes();
+    longer[body..].copy_from_slice(&checksum);
+    assert_eq!(LaneTable::parse(&longer[..]).err(), Some(LaneTableError::Description));
+}
+
 #[test]
 fn impossible_lengths_of_cells_are_refused() {
     let good = with_cells(None);

@@ -8,6 +8,7 @@ use mvcalib::files::calibration::Calibration;
 use mvcalib::files::labelme::{LabelFile, read_vehicles};
 use mvcalib::files::output::write_whole;
 use mvcalib::files::registration::FrameShifts;
+use mvcalib::files::road_cues;
 use mvcalib::joint::cues::RoadCues;
 use mvcalib::methods::{Method, Options, calibrate};
 use mvcalib::model::read_models;
@@ -15,6 +16,7 @@ use mvcalib::paper::loss::Form;
 use mvcalib::paper::stages::Step;
 use mvcalib::problem::Problem;
 use mvcalib::report::canvas::picture_size;
+use mvcalib::road::fit::{Cues, Fit, fit};
 use mvcalib::road::marks::Marks;
 use mvcalib::trust::Trust;
 use std::path::{Path, PathBuf};
@@ -25,12 +27,16 @@ pub struct Arguments {
     /// Folder of the labelled pictures; only their size is checked.
     #[arg(long)]
     images: Option<PathBuf>,
-    /// Folder of labelme files, one for each vehicle (or several by group_id).
-    #[arg(long)]
-    labels: PathBuf,
+    /// Folder of labelme files, one for each vehicle (or several by group_id). Only the
+    /// method road goes without.
+    #[arg(long, requires = "vehicles")]
+    labels: Option<PathBuf>,
     /// Vehicle models: an object from name to a list of [x, y, z] in label order, m.
-    #[arg(long)]
-    vehicles: PathBuf,
+    #[arg(long, requires = "labels")]
+    vehicles: Option<PathBuf>,
+    /// Size of the pictures, where no labels say it.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = super::image_size)]
+    image_size: Option<[u32; 2]>,
     /// The calibration file to write.
     #[arg(long)]
     out: PathBuf,
@@ -54,12 +60,23 @@ pub struct Arguments {
     /// Seed of the random numbers.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Lines side by side on the road, by twos: labelme linestrips (joint).
+    /// Lines side by side on the road, by twos: labelme linestrips, or for road the polygons
+    /// of a lane file (joint, road).
     #[arg(long)]
     lane_lines: Option<PathBuf>,
-    /// Marks of known length as observations: a marks file (joint).
+    /// Known lengths on the road: a marks file, or labelme linestrips labelled with the metres
+    /// of each segment or a standard such as us-lane (joint, road).
+    #[arg(long, alias = "known-lengths")]
+    lengths: Option<PathBuf>,
+    /// Boxes of a detector over many pictures, as `verge detect` writes them (road).
     #[arg(long)]
-    known_lengths: Option<PathBuf>,
+    detections: Option<PathBuf>,
+    /// Width of the lanes, m (road).
+    #[arg(long, value_name = "M", value_parser = super::metres)]
+    lane_width: Option<f64>,
+    /// Height of the camera above the road, m (road).
+    #[arg(long, value_name = "M", value_parser = super::metres)]
+    camera_height: Option<f64>,
     /// Shift of each picture against the reference: brings labels into its frame.
     #[arg(long)]
     frame_shifts: Option<PathBuf>,
@@ -77,22 +94,138 @@ pub struct Arguments {
 
 /// Runs `calibrate`.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let (mut vehicles, size) = read_vehicles(&arguments.labels)?;
-    if let Some(path) = &arguments.frame_shifts {
-        FrameShifts::read(path)?.register(&mut vehicles)?;
-    }
-    if let Some(folder) = &arguments.images {
-        check_pictures(folder, size)?;
-    }
-    let problem = Problem::new(size, vehicles, read_models(&arguments.vehicles)?)?;
-    let options = arguments.options(size)?;
-    let bar = progress_bar();
-    let mut calibration = calibrate(&problem, &options, &|step| show(&bar, step))?;
-    bar.finish_and_clear();
+    let problem = arguments.problem()?;
+    let mut calibration = match &problem {
+        Some(problem) => arguments.with_vehicles(problem)?,
+        None => arguments.from_the_road()?,
+    };
     calibration.camera_id = arguments.camera_id.clone();
     write_whole(&arguments.out, calibration.to_json().as_bytes())?;
     eprintln!("{}", summary(&calibration, &arguments.out));
+    let unaided = arguments.lane_lines.is_none() && arguments.lengths.is_none();
+    if arguments.method == Method::Joint && unaided {
+        eprintln!(
+            "two traced lane lines (--lane-lines) or a known length (--lengths) would make it surer"
+        );
+    }
     Ok(())
+}
+
+impl Arguments {
+    /// The labelled vehicles, where there are some.
+    fn problem(&self) -> Result<Option<Problem>> {
+        let (Some(labels), Some(models)) = (&self.labels, &self.vehicles) else {
+            return match self.method {
+                Method::Road => Ok(None),
+                method => Err(Error::Usage(format!(
+                    "--method {} needs --labels and --vehicles; road goes without",
+                    method.name()
+                ))),
+            };
+        };
+        let (mut vehicles, size) = read_vehicles(labels)?;
+        if let Some(path) = &self.frame_shifts {
+            FrameShifts::read(path)?.register(&mut vehicles)?;
+        }
+        if let Some(folder) = &self.images {
+            check_pictures(folder, size)?;
+        }
+        if let Some(expected) = self.image_size.filter(|s| *s != size) {
+            let what = labels.display().to_string();
+            return Err(Error::ImageSize { what, actual: size, expected });
+        }
+        Problem::new(size, vehicles, read_models(models)?).map(Some)
+    }
+
+    fn with_vehicles(&self, problem: &Problem) -> Result<Calibration> {
+        let options = self.options(problem.image_size)?;
+        let bar = progress_bar();
+        let calibration = calibrate(problem, &options, &|step| show(&bar, step))?;
+        bar.finish_and_clear();
+        for vehicle in &calibration.vehicles {
+            if let Some(px) = vehicle.rms_px {
+                eprintln!("{}: its key points miss their fit by {px:.2} px", vehicle.name);
+            }
+        }
+        Ok(calibration)
+    }
+
+    fn from_the_road(&self) -> Result<Calibration> {
+        let size = self.image_size.ok_or_else(|| {
+            Error::Usage("--image-size WIDTHxHEIGHT is needed where no vehicle is labelled".into())
+        })?;
+        if let Some(folder) = &self.images {
+            check_pictures(folder, size)?;
+        }
+        let start = std::time::Instant::now();
+        let found = fit(&self.road(size)?, size)?;
+        let mut calibration = found.calibration();
+        calibration.wall_time_s = start.elapsed().as_secs_f64();
+        eprint!("{}", residuals(&found));
+        Ok(calibration)
+    }
+
+    /// What the road shows.
+    fn road(&self, size: [u32; 2]) -> Result<Cues> {
+        let lanes = self.lane_lines.as_ref().map(|path| road_cues::lanes(path, size));
+        let marks = self.lengths.as_ref().map(|path| Marks::read(path));
+        let boxes = self.detections.as_ref().map(|path| road_cues::boxes(path));
+        let cues = Cues {
+            marks: marks.transpose()?.map_or_else(Vec::new, |m| m.cues()),
+            lanes: lanes.transpose()?.unwrap_or_default(),
+            boxes: boxes.transpose()?.unwrap_or_default(),
+            lane_width_m: self.lane_width,
+            height_m: self.camera_height,
+            ..Cues::default()
+        };
+        if !cues.boxes.is_empty() && cues.lanes.is_empty() {
+            return Err(Error::Usage(
+                "--detections need --lane-lines: a box tells its vehicle's length only where its \
+                 lane runs is known"
+                    .into(),
+            ));
+        }
+        Ok(cues)
+    }
+}
+
+/// How each cue of a road fit fits.
+fn residuals(found: &Fit) -> String {
+    use std::fmt::Write;
+    let mut text = String::new();
+    let mut line = |l: std::fmt::Arguments<'_>| {
+        let _ = writeln!(text, "{l}");
+    };
+    for mark in &found.marks {
+        let measured: Vec<String> = mark.measured_m.iter().map(|m| format!("{m:.2}")).collect();
+        let (known, sd, measured) = (mark.known_m, mark.in_sd, measured.join(", "));
+        line(format_args!("{}: {known:.2} m, measured {measured} m ({sd:.1} sd)", mark.name));
+    }
+    for lane in &found.lanes {
+        let [near, mean, far] = lane.width_m;
+        line(format_args!("{}: {near:.2} m wide near, {mean:.2} m, {far:.2} m far", lane.name));
+    }
+    if let Some(traffic) = &found.traffic {
+        let [longer, sd] = traffic.car_length.map(|x| 100.0 * x);
+        line(format_args!(
+            "traffic: {} boxes; cars here would be {longer:+.1} % long against most fleets \
+             (+- {sd:.1} %)",
+            traffic.used
+        ));
+    }
+    let errors = found.errors();
+    for (name, place) in [("near", errors.near), ("middle", errors.middle), ("far", errors.far)] {
+        let (along, across) = (place.along, place.across);
+        line(format_args!(
+            "{name} (v {:.0} px): {:.0} m along the road +- {:.1} % ({:.2} m), across +- {:.1} %",
+            place.at[1],
+            along.length_m,
+            100.0 * along.rel_sd,
+            along.rel_sd * along.length_m,
+            100.0 * across.rel_sd,
+        ));
+    }
+    text
 }
 
 impl Arguments {
@@ -119,7 +252,8 @@ impl Arguments {
             seed: self.seed,
             distortion: self.distortion,
             sway_px: self.sway_px,
-            cues: self.cues(size)?,
+            cues: if self.method == Method::Road { RoadCues::default() } else { self.cues(size)? },
+            road: if self.method == Method::Road { self.road(size)? } else { Cues::default() },
         })
     }
 }
@@ -136,12 +270,12 @@ impl Arguments {
             }
             cues.line_pairs = file.line_pairs()?;
         }
-        if let Some(path) = &self.known_lengths {
+        if let Some(path) = &self.lengths {
             cues.segments = Marks::read(path)?.segments().collect();
         }
         if !cues.is_empty() && self.method != Method::Joint {
             return Err(Error::Usage(
-                "--lane-lines and --known-lengths are observations of --method joint".into(),
+                "--lane-lines and --lengths are observations of --method joint and road".into(),
             ));
         }
         Ok(cues)

@@ -14,7 +14,7 @@ use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Calibration;
 use std::path::PathBuf;
 
-/// Calibrates a traffic camera from labelled vehicles and makes its lane table.
+/// Calibrates a traffic camera and makes its lane table.
 #[derive(Debug, Parser)]
 #[command(name = "mvcalib", version)]
 pub struct Cli {
@@ -26,7 +26,7 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Estimate focal length and pose from labelled vehicles.
+    /// Estimate focal length and pose from what the road shows, or from labelled vehicles.
     Calibrate(calibrate::Arguments),
     /// Measure a calibration against marks of known length.
     Verify(verify::Arguments),
@@ -75,6 +75,11 @@ impl CalibrationFile {
 fn image_size(text: &str) -> std::result::Result<[u32; 2], String> {
     let sides = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     sides.filter(|s: &[u32; 2]| !s.contains(&0)).ok_or_else(|| "give it as 320x240".into())
+}
+
+fn metres(text: &str) -> std::result::Result<f64, String> {
+    let metres = text.trim_end_matches('m').trim_end().parse().ok();
+    metres.filter(|m: &f64| *m > 0.0 && m.is_finite()).ok_or_else(|| "give metres above 0".into())
 }
 
 /// Writes a line to standard output; a reader that has gone is not an error.

@@ -8,7 +8,9 @@ use mvcalib::files::labelme::LabelFile;
 use mvcalib::files::output::write_whole;
 use mvcalib::report::canvas::Canvas;
 use mvcalib::report::{draw_lanes, draw_metres};
-use mvcalib::road::lane_table::{DrawnLane, ignored, lanes, table};
+use mvcalib::road::judge::{judge_lanes, require};
+use mvcalib::road::lane_table::{DrawnLane, lanes, table};
+use mvcalib::road::outline;
 use mvcalib::road::scene_reference::{picture, pictures, reference};
 use std::path::PathBuf;
 use verge::lane::{DEFAULT_CELL_LENGTH_M, MAX_CELL_LENGTH_M, MIN_CELL_LENGTH_M};
@@ -42,7 +44,7 @@ pub struct Arguments {
     /// The frame to draw the overlay on; grey where absent.
     #[arg(long, requires = "overlay")]
     image: Option<PathBuf>,
-    /// Make the table although the calibration says it cannot be trusted.
+    /// Make the table although the calibration cannot be trusted or a lane cannot be one.
     #[arg(long)]
     force: bool,
 }
@@ -71,7 +73,7 @@ impl Arguments {
             let what = frames[0].display().to_string();
             return Err(Error::ImageSize { what, actual: [width, height], expected });
         }
-        reference(&frames, &ignored(lanes)).map(|(_, scene)| Some(scene))
+        reference(&frames, &outline::read(lanes)?.ignored).map(|(_, scene)| Some(scene))
     }
 
     /// The overlay as PNG, where one is wanted.
@@ -98,6 +100,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let file = LabelFile::read(&arguments.lanes)?;
     let what = arguments.lanes.display().to_string();
     let lanes = lanes(&file, &what, &calibration.camera())?;
+    let known = calibration.known();
+    let judged = judge_lanes(&lanes, &calibration.camera(), known.as_ref(), arguments.cell_length);
+    for lane in &judged {
+        let problem = lane.problem.as_ref().map_or(String::new(), |p| format!("\n  REFUSED: {p}"));
+        eprintln!("{}{problem}", lane.geometry);
+    }
+    if !arguments.force {
+        require(&judged)?;
+    }
     let sha256 = Sha256::of(&arguments.calibration.bytes()?);
     let fallback = arguments.out.file_stem().unwrap_or_default().to_string_lossy();
     let overlay = arguments.drawing(&calibration.camera(), &lanes)?;
@@ -111,9 +122,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     match &scene {
         Some(scene) => eprintln!("scene: {} edge points", scene.fine.len()),
         None => eprintln!("scene: no --reference, so a moved camera will not be noticed"),
-    }
-    for lane in &lanes {
-        eprintln!("lane {}: {:.1} m", lane.id.get(), lane.axis.length_m());
     }
     Ok(())
 }

@@ -1,11 +1,12 @@
 //! The calibration file: what a calibration gave, how it was made, how far to trust it.
 //!
-//! Owns the JSON format `verge-calibration`, version 1. Does not own the verdict's rules
+//! Owns the JSON format `verge-calibration`, versions 1 and 2; 2 where the road has a crest,
+//! which programs that know version 1 alone would leave out without a word. Does not own the verdict's rules
 //! (see `trust`) nor any solver.
 //!
 //! | field | unit | meaning |
 //! |---|---|---|
-//! | `format`, `version` | | `verge-calibration`, 1 |
+//! | `format`, `version` | | `verge-calibration`, 1 or 2 |
 //! | `method` | | `joint`, `mvcalib`, ... |
 //! | `camera_id` | | the camera, or null |
 //! | `image_size` | px | width and height |
@@ -17,7 +18,8 @@
 //! | `vehicles` | | name and matched model of each vehicle |
 //! | `seed`, `evaluations`, `wall_time_s` | , , s | how it was computed |
 //! | `stages` | | what each stage gave (optional) |
-//! | `uncertainty` | | the joint method's covariance (optional) |
+//! | `uncertainty` | | covariance of the camera (joint, road) |
+//! | `errors` | 1 | standard error of a length near, in the middle and far (road) |
 //! | `trust` | | `ok`, or why not to trust it |
 //!
 //! Only `f`, `rvec`, `tvec` and `image_size` are needed to read one, so the authors' own
@@ -25,6 +27,7 @@
 
 use crate::camera::{Camera, Lens, Pose};
 use crate::error::{Error, Result};
+use crate::road::length_error::{CameraCovariance, UncertainCamera};
 use crate::trust::Trust;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -52,8 +55,8 @@ impl fmt::Display for Sha256 {
 
 /// Value of the field `format`.
 pub const FORMAT: &str = "verge-calibration";
-/// The version that this program writes, and the newest it reads.
-pub const VERSION: u32 = 1;
+/// The newest version that this program reads; it writes the lowest that holds a calibration.
+pub const VERSION: u32 = 2;
 
 /// One calibration file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -111,9 +114,12 @@ pub struct Calibration {
     /// What the stages of MVCalib gave.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stages: Option<StageLosses>,
-    /// What the joint method says of its own error.
+    /// What the method says of its own error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Uncertainty>,
+    /// Error of lengths near, in the middle and far.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub errors: Option<StatedErrors>,
     /// Whether it may be used.
     #[serde(default)]
     pub trust: Trust,
@@ -170,11 +176,67 @@ pub struct Uncertainty {
     pub tilt_rad: f64,
     /// Standard error of the roll, rad.
     pub roll_rad: f64,
-    /// Standard deviation of a label's coordinate as the fit shows it, px.
-    pub label_sd_px: f64,
-    /// Covariance of (log f, tilt, roll, log height, k1), row by row. Road lengths depend
-    /// on these and on nothing else.
-    pub covariance: [[f64; 5]; 5],
+    /// Standard deviation of a label's coordinate as the fit shows it, px (joint).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label_sd_px: Option<f64>,
+    /// Covariance of (log f, tilt, roll, log height, k1, crest in 1/m), row by row. Road
+    /// lengths depend on these and on nothing else. Files of a level road may leave out the
+    /// crest.
+    #[serde(deserialize_with = "with_or_without_crest")]
+    pub covariance: [[f64; 6]; 6],
+}
+
+impl Uncertainty {
+    /// Of a camera whose covariance is known.
+    pub fn of(known: &UncertainCamera, label_sd_px: Option<f64>) -> Self {
+        let covariance = &known.covariance;
+        let sd = |k: usize| covariance[(k, k)].max(0.0).sqrt();
+        Uncertainty {
+            f_px: known.camera.lens.f * sd(0),
+            tilt_rad: sd(1),
+            roll_rad: sd(2),
+            height_m: known.camera.height_m() * sd(3),
+            label_sd_px,
+            covariance: std::array::from_fn(|a| std::array::from_fn(|b| covariance[(a, b)])),
+        }
+    }
+}
+
+fn with_or_without_crest<'de, D: serde::Deserializer<'de>>(
+    d: D,
+) -> std::result::Result<[[f64; 6]; 6], D::Error> {
+    let rows = Vec::<Vec<f64>>::deserialize(d)?;
+    let n = rows.len();
+    if !(n == 5 || n == 6) || rows.iter().any(|r| r.len() != n || !r.iter().all(|x| x.is_finite()))
+    {
+        return Err(serde::de::Error::custom("the covariance has 5 or 6 rows of as many numbers"));
+    }
+    let at = |a: usize, b: usize| rows.get(a).and_then(|r| r.get(b)).copied().unwrap_or(0.0);
+    Ok(std::array::from_fn(|a| std::array::from_fn(|b| at(a, b))))
+}
+
+/// Error of lengths at three distances, as the road fit states it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StatedErrors {
+    /// Length of the stretches near, in the middle and far, m.
+    pub stretch_m: f64,
+    /// At the near end.
+    pub near: StatedError,
+    /// In the middle.
+    pub middle: StatedError,
+    /// At the far end.
+    pub far: StatedError,
+}
+
+/// Standard errors of a stretch at one place, as parts of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StatedError {
+    /// Where, px.
+    pub at: [f64; 2],
+    /// Of a stretch along the road.
+    pub along: f64,
+    /// Of a stretch across it.
+    pub across: f64,
 }
 
 impl Calibration {
@@ -182,7 +244,7 @@ impl Calibration {
     pub fn of_camera(camera: &Camera, method: &str) -> Self {
         Calibration {
             format: format_name(),
-            version: VERSION,
+            version: if camera.crest_per_m == 0.0 { version() } else { VERSION },
             method: method.to_owned(),
             camera_id: None,
             image_size: Some(camera.image_size),
@@ -200,6 +262,7 @@ impl Calibration {
             wall_time_s: 0.0,
             stages: None,
             uncertainty: None,
+            errors: None,
             trust: Trust::Ok,
         }
     }
@@ -256,6 +319,13 @@ impl Calibration {
         }
     }
 
+    /// The camera with its covariance; `None` where the method states none.
+    pub fn known(&self) -> Option<UncertainCamera> {
+        let stated = self.uncertainty.as_ref()?;
+        let covariance = CameraCovariance::from_fn(|a, b| stated.covariance[a][b]);
+        Some(UncertainCamera { camera: self.camera(), covariance })
+    }
+
     /// An error when the calibration says of itself that it cannot be trusted.
     pub fn require_trust(&self) -> Result<()> {
         match &self.trust {
@@ -282,7 +352,7 @@ fn is_level(crest_per_m: &f64) -> bool {
 }
 
 fn version() -> u32 {
-    VERSION
+    1
 }
 
 fn flat_or_column<'de, D: serde::Deserializer<'de>>(

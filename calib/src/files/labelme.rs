@@ -22,8 +22,9 @@ pub struct LabelFile {
     pub image_height: u32,
     /// The shapes, in file order.
     pub shapes: Vec<Shape>,
-    /// Marks on the whole picture: the body of its vehicles, such as `van`.
-    #[serde(default)]
+    /// Marks on the whole picture: the body of its vehicles, such as `van`, or the direction of
+    /// its lanes.
+    #[serde(default, deserialize_with = "null_is_empty")]
     pub flags: BTreeMap<String, bool>,
 }
 
@@ -35,24 +36,106 @@ pub struct Shape {
     /// Vertices (u, v), px.
     pub points: Vec<[f64; 2]>,
     /// `point`, `polygon`, `linestrip`, `line`, ...
-    #[serde(default)]
+    #[serde(default, deserialize_with = "null_is_empty")]
     pub shape_type: String,
     /// Which shapes belong together, for several vehicles in one file.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole_number")]
     pub group_id: Option<i64>,
     /// Marks set by the person who labelled, such as `toward` on a lane or `van` on a
     /// vehicle's point.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "null_is_empty")]
     pub flags: BTreeMap<String, bool>,
+}
+
+/// `null` stands for what is empty in the files of some versions.
+fn null_is_empty<'de, D, T>(d: D) -> std::result::Result<T, D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Default + Deserialize<'de>,
+{
+    Ok(Option::<T>::deserialize(d)?.unwrap_or_default())
+}
+
+/// A group as a number, however it is written; an empty text is none.
+fn whole_number<'de, D: serde::Deserializer<'de>>(
+    d: D,
+) -> std::result::Result<Option<i64>, D::Error> {
+    let wrong = |what: &dyn std::fmt::Display| {
+        serde::de::Error::custom(format!("group_id {what} is not a whole number"))
+    };
+    match serde_json::Value::deserialize(d)? {
+        serde_json::Value::Null => Ok(None),
+        serde_json::Value::String(text) if text.trim().is_empty() => Ok(None),
+        serde_json::Value::String(text) => text.trim().parse().map(Some).map_err(|_| wrong(&text)),
+        value => match value.as_f64().filter(|x| x.fract() == 0.0 && x.abs() < 1e15) {
+            Some(x) => Ok(Some(x as i64)),
+            None => Err(wrong(&value)),
+        },
+    }
+}
+
+/// What a JSON file that is not labelme's looks like, and what to do with it.
+fn other_format(value: &serde_json::Value) -> Option<&'static str> {
+    let object = value.as_object();
+    let has = |key: &str| object.is_some_and(|o| o.contains_key(key));
+    let entries = object.into_iter().flat_map(|o| o.values());
+    let via = has("_via_img_metadata")
+        || has("_via_settings")
+        || entries.clone().any(|v| v.get("regions").is_some());
+    if has("shapes") {
+        let size = |key: &str| value.get(key).is_some_and(|v| !v.is_null());
+        return (!size("imageWidth") || !size("imageHeight")).then_some(
+            "no imageWidth and imageHeight, as labelme before version 4 writes it: open the \
+             picture in labelme 5 and save it again",
+        );
+    }
+    if has("annotations") && (has("images") || has("categories")) {
+        return Some(
+            "this is a COCO file and not labelme's: convert it (labelme's polygons have \
+             shapes, labels and points)",
+        );
+    }
+    if via {
+        return Some(
+            "this is a file of the VGG Image Annotator (VIA) and not labelme's: draw the shapes \
+             in labelme, or convert it",
+        );
+    }
+    Some("this is not a labelme file: it has no shapes")
 }
 
 impl LabelFile {
     /// Reads one file.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        serde_json::from_str(&text)
-            .map_err(|e| Error::Json { path: path.to_owned(), detail: e.to_string() })
+        let bytes =
+            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        Self::parse(&bytes).map_err(|detail| Error::Json { path: path.to_owned(), detail })
+    }
+
+    /// Reads a file's content; the error says what it is instead.
+    pub fn parse(bytes: &[u8]) -> std::result::Result<Self, String> {
+        let text = std::str::from_utf8(bytes).map_err(|e| {
+            format!(
+                "not UTF-8 at byte {}: save it as UTF-8 (an older labelme on Windows writes the \
+                 system's code page)",
+                e.valid_up_to()
+            )
+        })?;
+        // Some editors put a byte order mark before the text.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let value: serde_json::Value = serde_json::from_str(text).map_err(|e| {
+            let number = if text.contains("NaN") || text.contains("Infinity") {
+                "; a point is NaN or infinite: draw that shape again"
+            } else {
+                ""
+            };
+            format!("{e}{number}")
+        })?;
+        if let Some(other) = other_format(&value) {
+            return Err(other.to_owned());
+        }
+        // From the text again: its messages have line and column.
+        serde_json::from_str(text).map_err(|e| e.to_string())
     }
 
     /// Width and height of the picture, px.

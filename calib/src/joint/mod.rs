@@ -21,6 +21,7 @@ use crate::camera::Camera;
 use crate::error::Result;
 use crate::files::calibration::Uncertainty;
 use crate::problem::Problem;
+use crate::road::{self, fit::Labelled, length_error::UncertainCamera};
 use cues::RoadCues;
 use fit::Fit;
 pub use fit::{FLEETS, Fleet};
@@ -93,18 +94,23 @@ impl Joint {
         off[0] * off[0] + off[3] * off[3]
     }
 
+    /// The camera with the covariance of its unknowns; joint takes the road to be level.
+    pub fn known(&self) -> UncertainCamera {
+        let mut covariance = road::length_error::CameraCovariance::zeros();
+        let own = self.covariance.0.fixed_view::<5, 5>(0, 0);
+        covariance.fixed_view_mut::<5, 5>(0, 0).copy_from(&own);
+        UncertainCamera { camera: self.camera(), covariance }
+    }
+
     /// Standard errors and covariance in the calibration file's terms.
     pub fn uncertainty(&self) -> Uncertainty {
-        let CameraState { log_f, log_height, .. } = self.estimate.camera;
-        let c = &self.covariance;
-        Uncertainty {
-            f_px: log_f.exp() * c.sd(0),
-            tilt_rad: c.sd(1),
-            roll_rad: c.sd(2),
-            height_m: log_height.exp() * c.sd(3),
-            label_sd_px: self.label_sd_px,
-            covariance: std::array::from_fn(|a| std::array::from_fn(|b| c.0[(a, b)])),
-        }
+        Uncertainty::of(&self.known(), Some(self.label_sd_px))
+    }
+
+    /// What it says of the camera, for the road fit.
+    pub fn labelled(&self) -> Labelled {
+        let state = &self.estimate.camera;
+        Labelled::of_joint(state, self.image_size, &self.known().covariance)
     }
 
     /// Standard error of a length on the road, as a part of it, where the vehicles stand.

@@ -157,14 +157,14 @@ pub fn html(calibration: &Calibration, picture: &[u8], placed: &[Placed]) -> Str
             page,
             "<h2>Uncertainty (1 sigma)</h2><table><tr><th>of<th>value<th>+-\
              <tr><td>focal length, px<td>{:.1}<td>{:.1}<tr><td>height, m<td>{:.2}<td>{:.2}\
-             <tr><td>tilt, degrees<td>{:.2}<td>{:.2}<tr><td>label, px<td><td>{:.2}</table>",
+             <tr><td>tilt, degrees<td>{:.2}<td>{:.2}<tr><td>label, px<td><td>{}</table>",
             calibration.f,
             u.f_px,
             camera.height_m(),
             u.height_m,
             camera.tilt_rad().to_degrees(),
             u.tilt_rad.to_degrees(),
-            u.label_sd_px,
+            u.label_sd_px.map_or("none".into(), |px| format!("{px:.2}")),
         );
     }
     residual_table(&mut page, placed);

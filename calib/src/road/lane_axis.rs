@@ -22,7 +22,12 @@ pub struct LaneAxis {
     points: Vec<Vector2<f64>>,
     /// Distance along the line of each point, m.
     distance_m: Vec<f64>,
+    /// Width of the lane from its upstream to its downstream end, m.
+    widths_m: [f64; PROBES],
 }
+
+/// Places along a lane at which its width is taken.
+pub const PROBES: usize = 17;
 
 /// A place beside a centre line.
 #[derive(Clone, Copy, Debug)]
@@ -63,18 +68,38 @@ impl LaneAxis {
         let fractions = (0..SAMPLES).map(|k| k as f64 / (SAMPLES - 1) as f64);
         let mut points: Vec<_> =
             fractions.map(|t| (at_fraction(&left, t) + at_fraction(&right, t)) * 0.5).collect();
+        let probe = |k: usize| {
+            let place = at_fraction(&left, k as f64 / (PROBES - 1) as f64);
+            nearest_m(&right, place)
+        };
+        let mut widths_m: [f64; PROBES] = std::array::from_fn(probe);
         let foot = camera.pose.camera_centre().xy();
         let starts_near = (points[0] - foot).norm() < (points[SAMPLES - 1] - foot).norm();
         if starts_near == (direction == Direction::Toward) {
             points.reverse();
+            widths_m.reverse();
         }
         let distance_m = distances(&points);
-        Ok(LaneAxis { points, distance_m })
+        Ok(LaneAxis { points, distance_m, widths_m })
     }
 
     /// Length of the centre line, m.
     pub fn length_m(&self) -> f64 {
         self.distance_m[SAMPLES - 1]
+    }
+
+    /// Width from the upstream to the downstream end, m.
+    pub fn widths_m(&self) -> &[f64; PROBES] {
+        &self.widths_m
+    }
+
+    /// The place at a distance along the centre line, m, and the line's direction there.
+    pub fn at(&self, s_m: f64) -> (Vector2<f64>, Vector2<f64>) {
+        let k = self.distance_m.partition_point(|d| *d <= s_m).clamp(1, SAMPLES - 1);
+        let (d0, d1) = (self.distance_m[k - 1], self.distance_m[k]);
+        let t = if d1 > d0 { ((s_m - d0) / (d1 - d0)).clamp(0.0, 1.0) } else { 0.0 };
+        let (a, b) = (self.points[k - 1], self.points[k]);
+        (a.lerp(&b, t), (b - a).try_normalize(1e-12).unwrap_or(Vector2::y()))
     }
 
     /// The place on the centre line nearest to a point of the road (m).
@@ -106,13 +131,7 @@ impl LaneAxis {
     /// Points of the centre line every `step_m` metres, on the road plane.
     pub fn every(&self, step_m: f64) -> impl Iterator<Item = Vector2<f64>> + '_ {
         let count = (self.length_m() / step_m) as usize + 1;
-        (0..count).map(move |k| {
-            let s = k as f64 * step_m;
-            let i = self.distance_m.partition_point(|d| *d <= s).clamp(1, SAMPLES - 1);
-            let (d0, d1) = (self.distance_m[i - 1], self.distance_m[i]);
-            let t = if d1 > d0 { ((s - d0) / (d1 - d0)).clamp(0.0, 1.0) } else { 0.0 };
-            self.points[i - 1].lerp(&self.points[i], t)
-        })
+        (0..count).map(move |k| self.at(k as f64 * step_m).0)
     }
 
     /// Road length along the lane that one pixel spans at a place, m.
@@ -125,11 +144,11 @@ impl LaneAxis {
 }
 
 /// Left and right side of a lane.
-type Sides = (Vec<Vector2<f64>>, Vec<Vector2<f64>>);
+pub(crate) type Sides = (Vec<Vector2<f64>>, Vec<Vector2<f64>>);
 
-/// The two long sides of a polygon, running the same way. Of all pairs of edges taken as
+/// The two long sides of a polygon on the road, running the same way. Of all pairs of edges taken as
 /// the ends, the right one leaves two sides that stay closest to each other.
-fn sides(polygon: &[Vector2<f64>]) -> Option<Sides> {
+pub(crate) fn sides(polygon: &[Vector2<f64>]) -> Option<Sides> {
     let n = polygon.len();
     let mut best: Option<(f64, _)> = None;
     for i in 0..n {
@@ -149,10 +168,10 @@ fn sides(polygon: &[Vector2<f64>]) -> Option<Sides> {
 }
 
 fn mean_gap(left: &[Vector2<f64>], right: &[Vector2<f64>]) -> f64 {
-    const PROBES: usize = 33;
-    let fractions = (0..PROBES).map(|k| k as f64 / (PROBES - 1) as f64);
+    const PLACES: usize = 33;
+    let fractions = (0..PLACES).map(|k| k as f64 / (PLACES - 1) as f64);
     fractions.map(|t| (at_fraction(left, t) - at_fraction(right, t)).norm()).sum::<f64>()
-        / PROBES as f64
+        / PLACES as f64
 }
 
 /// The point at a fraction of the length of a polyline.
@@ -167,6 +186,17 @@ fn at_fraction(line: &[Vector2<f64>], fraction: f64) -> Vector2<f64> {
         rest -= length;
     }
     line[line.len() - 1]
+}
+
+/// Distance of a place from a polyline, m.
+fn nearest_m(line: &[Vector2<f64>], p: Vector2<f64>) -> f64 {
+    line.windows(2)
+        .map(|w| {
+            let edge = w[1] - w[0];
+            let t = (p - w[0]).dot(&edge) / edge.norm_squared().max(f64::MIN_POSITIVE);
+            (w[0] + edge * t.clamp(0.0, 1.0) - p).norm()
+        })
+        .fold(f64::INFINITY, f64::min)
 }
 
 fn distances(points: &[Vector2<f64>]) -> Vec<f64> {

@@ -1,18 +1,20 @@
 //! The lane table of a calibrated camera: for every pixel its lane and place along it.
 //!
-//! Owns reading lane polygons and filling the cells. Does not own the file's format (the
-//! core crate's `lane` module) nor the centre lines (see `lane_axis`).
+//! Owns filling the cells and the stated errors. Does not own the file's format (the core
+//! crate's `lane` module), outlines (see `outline`) nor centre lines (see `lane_axis`).
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::calibration::{Calibration, Sha256};
-use crate::files::labelme::{LabelFile, Shape};
+use crate::files::labelme::LabelFile;
+use crate::road::judge::judge_lanes;
 use crate::road::lane_axis::LaneAxis;
+use crate::road::outline::{self, Outline};
 use nalgebra::Vector2;
 use rayon::prelude::*;
-use verge::lane::{Description, Lane, LaneTableError, MAX_LANE_LENGTH_M, Name, Place};
+use verge::lane::{Description, Lane, LaneErrors, LaneTableError, MAX_LANE_LENGTH_M, Name, Place};
 use verge::scene::Reference;
-use verge::units::{Direction, ImageSize, LaneId, MAX_LANES};
+use verge::units::{Direction, ImageSize, LaneId};
 
 /// Part of a lane's cells that another lane may claim too: hand-drawn borders cross by a
 /// pixel here and there.
@@ -27,16 +29,16 @@ pub struct DrawnLane {
     pub id: LaneId,
     /// Which way its traffic moves.
     pub direction: Direction,
+    /// Whether it is said to be wider at one end.
+    pub widens: bool,
     /// Its outline, px.
     pub polygon: Vec<Vector2<f64>>,
     /// Its centre line on the road.
     pub axis: LaneAxis,
 }
 
-/// Reads the polygons of a labelme file as lanes of a camera, by rising number.
-///
-/// A lane's number is the integer at the end of its label (`1`, `lane 1`, `lane_1`); the
-/// flags `toward` and `away` say which way its traffic moves.
+/// The lanes of a labelme file on the road of a camera, by rising number, see
+/// [`outline::read`].
 pub fn lanes(file: &LabelFile, what: &str, camera: &Camera) -> Result<Vec<DrawnLane>> {
     if file.image_size() != camera.image_size {
         return Err(Error::ImageSize {
@@ -45,62 +47,27 @@ pub fn lanes(file: &LabelFile, what: &str, camera: &Camera) -> Result<Vec<DrawnL
             expected: camera.image_size,
         });
     }
-    let mut lanes: Vec<DrawnLane> = Vec::new();
-    let polygons = file.shapes.iter().filter(|s| s.shape_type == "polygon");
-    for shape in polygons.filter(|s| !is_ignored(s)) {
-        let lane = lane(shape, camera)?;
-        if lanes.iter().any(|l| l.id == lane.id) {
-            let problem = "is drawn twice; give each polygon its own number".into();
-            return Err(Error::Lane { lane: shape.label.clone(), problem });
-        }
-        lanes.push(lane);
-    }
-    if lanes.is_empty() {
-        let problem = format!("{what} holds no polygon; draw one for each lane");
+    let drawing = outline::read(file)?;
+    if drawing.lanes.is_empty() {
+        let problem = format!("{what} holds no lane; draw a polygon for each");
         return Err(Error::Lane { lane: "(none)".into(), problem });
     }
-    lanes.sort_by_key(|l| l.id);
-    Ok(lanes)
+    drawing.lanes.into_iter().map(|outline| on_road(outline, camera)).collect()
 }
 
-/// Polygons labelled `ignore`: a clock, a name, a logo, anything that is burnt into the
-/// picture and no part of the scene.
-pub fn ignored(file: &LabelFile) -> Vec<Vec<Vector2<f64>>> {
-    let polygon = |s: &Shape| s.points.iter().map(|&p| p.into()).collect();
-    let polygons = file.shapes.iter().filter(|s| s.shape_type == "polygon");
-    polygons.filter(|s| is_ignored(s) && !s.points.is_empty()).map(polygon).collect()
-}
-
-fn is_ignored(shape: &Shape) -> bool {
-    shape.label.trim() == "ignore"
-}
-
-fn lane(shape: &Shape, camera: &Camera) -> Result<DrawnLane> {
-    let wrong = |problem: String| Error::Lane { lane: shape.label.clone(), problem };
-    let digits = shape.label.trim_end().rsplit(|c: char| !c.is_ascii_digit()).next();
-    let id = digits.and_then(|d| d.parse().ok()).and_then(LaneId::new).ok_or_else(|| {
-        wrong(format!("no lane number at the end of the label; lanes are 1 to {MAX_LANES}"))
-    })?;
-    let flag = |name: &str| shape.flags.get(name).copied().unwrap_or(false);
-    let direction = match (flag("toward"), flag("away")) {
-        (true, true) => return Err(wrong("both toward and away are set".into())),
-        (true, false) => Direction::Toward,
-        (false, true) => Direction::Away,
-        (false, false) => Direction::Unknown,
-    };
-    let polygon: Vec<Vector2<f64>> = shape.points.iter().map(|&p| p.into()).collect();
-    if !polygon.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
-        return Err(wrong("a corner is not a finite number".into()));
-    }
-    let axis = LaneAxis::of_polygon(&shape.label, &polygon, direction, camera)?;
+/// An outline on the road of a camera.
+pub fn on_road(outline: Outline, camera: &Camera) -> Result<DrawnLane> {
+    let Outline { label, id, direction, widens, polygon } = outline;
+    let axis = LaneAxis::of_polygon(&label, &polygon, direction, camera)?;
     let length = axis.length_m();
     if length > f64::from(MAX_LANE_LENGTH_M) {
-        return Err(wrong(format!(
+        let problem = format!(
             "it would be {length:.0} m long, a table holds {MAX_LANE_LENGTH_M} m; \
              end the polygon further below the horizon"
-        )));
+        );
+        return Err(Error::Lane { lane: label, problem });
     }
-    Ok(DrawnLane { id, direction, polygon, axis })
+    Ok(DrawnLane { id, direction, widens, polygon, axis })
 }
 
 /// The bytes of a lane table.
@@ -138,10 +105,24 @@ pub fn table(
         calibration_sha256: sha256.0,
         cell_length_m,
     };
-    let mut bytes = vec![0; verge::lane::encoded_len(&description, scene)];
+    let known = calibration.known();
+    let judged = judge_lanes(lanes, &camera, known.as_ref(), cell_length_m);
+    let cell_errors: Vec<Vec<f32>> = judged
+        .iter()
+        .map(|j| j.geometry.cell_rel_err.iter().map(|e| *e as f32).collect())
+        .collect();
+    let errors: Vec<LaneErrors<'_>> = judged
+        .iter()
+        .zip(&cell_errors)
+        .filter_map(|(j, cells)| Some(LaneErrors { lane: Some(j.geometry.rel_err? as f32), cells }))
+        .collect();
+    // All or none: a lane without a stated error has the calibration's.
+    let errors = if errors.len() == lanes.len() { &errors[..] } else { &[] };
+    let mut bytes = vec![0; verge::lane::encoded_len_with_errors(&description, errors, scene)];
     let at = |u: u16, v: u16| cells[usize::from(v) * width as usize + usize::from(u)];
     let refused = |e: LaneTableError| Error::Solver { method: "lane table", detail: e.to_string() };
-    let length = verge::lane::encode(&description, scene, at, &mut bytes).map_err(refused)?;
+    let length = verge::lane::encode_with_errors(&description, errors, scene, at, &mut bytes)
+        .map_err(refused)?;
     bytes.truncate(length);
     Ok(bytes)
 }
@@ -243,13 +224,14 @@ mod tests {
         serde_json::from_str(&text).unwrap()
     }
 
+    const AWAY: &str = r#""away":true"#;
     const NEAR: [[f64; 2]; 4] = [[-3.2, 25.0], [-0.1, 25.0], [-0.1, 75.0], [-3.2, 75.0]];
     const FAR: [[f64; 2]; 4] = [[0.1, 25.0], [3.2, 25.0], [3.2, 65.0], [0.1, 65.0]];
 
     #[test]
     fn a_table_says_where_each_pixel_lies() {
         let camera = camera();
-        let file = file(&[("lane_2", r#""toward":true"#, FAR), ("1", "", NEAR)]);
+        let file = file(&[("lane_2", r#""toward":true"#, FAR), ("1", AWAY, NEAR)]);
         let lanes = lanes(&file, "lanes.json", &camera).unwrap();
         let mut calibration = Calibration::of_camera(&camera, "joint");
         calibration.rel_err = Some(0.057);
@@ -274,8 +256,8 @@ mod tests {
     fn overlapping_and_unnumbered_lanes_are_named() {
         let camera = camera();
         let both = file(&[
-            ("1", "", NEAR),
-            ("4", "", [[-2.0, 25.0], [1.0, 25.0], [1.0, 75.0], [-2.0, 75.0]]),
+            ("1", AWAY, NEAR),
+            ("4", AWAY, [[-2.0, 25.0], [1.0, 25.0], [1.0, 75.0], [-2.0, 75.0]]),
         ]);
         let drawn = lanes(&both, "lanes.json", &camera).unwrap();
         let calibration = Calibration::of_camera(&camera, "joint");
@@ -283,14 +265,14 @@ mod tests {
             table(&calibration, &drawn, Sha256([0; 32]), "c", None, 10.0).unwrap_err().to_string();
         assert!(error.contains("lane 1") && error.contains("lane 4"), "{error}");
         for label in ["kerb", "lane 0", "lane 9"] {
-            assert!(lanes(&file(&[(label, "", NEAR)]), "lanes.json", &camera).is_err());
+            assert!(lanes(&file(&[(label, AWAY, NEAR)]), "lanes.json", &camera).is_err());
         }
     }
 
     #[test]
     fn another_picture_size_is_refused() {
         let mut camera = camera();
-        let file = file(&[("1", "", NEAR)]);
+        let file = file(&[("1", AWAY, NEAR)]);
         camera.image_size = [640, 480];
         assert!(matches!(lanes(&file, "lanes.json", &camera), Err(Error::ImageSize { .. })));
     }

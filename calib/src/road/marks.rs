@@ -7,6 +7,9 @@
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::files::labelme::{LabelFile, Shape};
+use crate::road::fit::MarkCue;
+use crate::road::standards;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -24,7 +27,53 @@ pub struct Mark {
     /// Points (u, v), px.
     pub points: Vec<[f64; 2]>,
     /// Length of each segment, m.
+    #[serde(default)]
     pub segment_length_m: f64,
+    /// In place of the length: a national standard's name, for points a pitch apart.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub standard: Option<String>,
+    /// What it is called.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// How well the length is known, as a part of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rel_sd: Option<f64>,
+    /// How well the points are read, px.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub px_sd: Option<f64>,
+}
+
+impl Mark {
+    /// A polyline with segments of this length, m.
+    pub fn new(points: Vec<[f64; 2]>, segment_length_m: f64) -> Self {
+        Mark { points, segment_length_m, standard: None, name: None, rel_sd: None, px_sd: None }
+    }
+
+    /// From a labelme line: its label is the metres of each segment (`6`, `6.5 m`, `dash 6 m`)
+    /// or a standard's name.
+    fn of_shape(shape: &Shape) -> Self {
+        let text = shape.label.trim();
+        let number = text.trim_end_matches("metres").trim_end_matches('m').trim_end();
+        let number = number.rsplit(|c: char| c.is_whitespace() || c == '=').next();
+        let mut mark = Mark::new(shape.points.clone(), 0.0);
+        mark.name = Some(text.to_owned());
+        match number.and_then(|n| n.parse().ok()) {
+            Some(metres) => mark.segment_length_m = metres,
+            None => mark.standard = Some(text.to_owned()),
+        }
+        mark
+    }
+
+    /// The cue of the road fit.
+    pub fn cue(&self, number: usize) -> MarkCue {
+        let name = self.name.as_ref().filter(|n| !n.is_empty());
+        let name = name.map_or(format!("mark {number}"), |n| format!("mark {number} ({n})"));
+        let points = self.points.iter().map(|&p| p.into()).collect();
+        let mut cue = MarkCue::measured(name, points, self.segment_length_m);
+        cue.rel_sd = self.rel_sd.unwrap_or(cue.rel_sd);
+        cue.px_sd = self.px_sd.unwrap_or(cue.px_sd);
+        cue
+    }
 }
 
 /// How far measured lengths are from the known ones.
@@ -45,14 +94,39 @@ pub struct Accuracy {
 }
 
 impl Marks {
-    /// Reads and checks a marks file.
+    /// Reads and checks a marks file, or the lines of a labelme file.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        let marks: Marks = serde_json::from_str(&text)
-            .map_err(|e| Error::Json { path: path.to_owned(), detail: e.to_string() })?;
+        let bytes =
+            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };
+        let labelled = serde_json::from_slice::<serde_json::Value>(&bytes)
+            .is_ok_and(|value| value.get("shapes").is_some());
+        let mut marks = if labelled {
+            let file = LabelFile::parse(&bytes).map_err(wrong)?;
+            let line = |s: &&Shape| matches!(s.shape_type.as_str(), "line" | "linestrip");
+            if let Some(other) = file.shapes.iter().find(|s| !line(s)) {
+                return Err(Error::Marks(format!(
+                    "'{}' is a {}; a length is a line or linestrip labelled with its metres",
+                    other.label, other.shape_type
+                )));
+            }
+            Marks { marks: file.shapes.iter().map(Mark::of_shape).collect() }
+        } else {
+            serde_json::from_slice(&bytes).map_err(|e| wrong(e.to_string()))?
+        };
+        for mark in &mut marks.marks {
+            let Some(name) = &mark.standard else { continue };
+            let standard = standards::find(name)?;
+            mark.segment_length_m = standard.pitch_m();
+            mark.rel_sd = mark.rel_sd.or(Some(standard.tolerance));
+        }
         marks.check()?;
         Ok(marks)
+    }
+
+    /// The cues of the road fit.
+    pub fn cues(&self) -> Vec<MarkCue> {
+        self.marks.iter().enumerate().map(|(k, m)| m.cue(k + 1)).collect()
     }
 
     fn check(&self) -> Result<()> {
@@ -75,6 +149,10 @@ impl Marks {
             let length = mark.segment_length_m;
             if !(length > 0.0 && length.is_finite()) {
                 return Err(Error::Marks(format!("mark {number} has segments of {length} m")));
+            }
+            let positive = |sd: Option<f64>| sd.is_none_or(|sd| sd > 0.0 && sd.is_finite());
+            if !positive(mark.rel_sd) || !positive(mark.px_sd) {
+                return Err(Error::Marks(format!("mark {number}: rel_sd and px_sd are above 0")));
             }
         }
         Ok(())
@@ -163,8 +241,7 @@ mod tests {
 
     #[test]
     fn impossible_marks_are_named() {
-        let mark =
-            |points, segment_length_m| Marks { marks: vec![Mark { points, segment_length_m }] };
+        let mark = |points, metres| Marks { marks: vec![Mark::new(points, metres)] };
         assert!(mark(vec![[1.0, 2.0]], 6.0).check().is_err());
         assert!(mark(vec![[1.0, 2.0], [3.0, 4.0]], 0.0).check().is_err());
         assert!(mark(vec![[1.0, f64::NAN], [3.0, 4.0]], 6.0).check().is_err());

@@ -9,7 +9,7 @@
 //! scene frames DIR [NAME]  one camera's pictures against the reference made of them
 //! ```
 
-use mvcalib::files::calibration::Calibration;
+use mvcalib::files::calibration::{Calibration, Sha256};
 use mvcalib::files::labelme::LabelFile;
 use mvcalib::road::lane_table::{lanes, table};
 use mvcalib::road::scene_reference::{HeapEye, eye, picture, pictures, reference};
@@ -299,7 +299,8 @@ fn lane_table(scene: &Scene, recorder: &Recorder) -> LaneTable<Vec<u8>> {
     let camera = Calibration::read(&path, None).expect("a right calibration");
     std::fs::remove_file(&path).expect("removing it");
     let drawn = lanes(&drawn, "lanes", &camera.camera()).expect("lanes on the road");
-    let bytes = table(&camera, &drawn, [0; 32], "street", None, 10.0).expect("a right table");
+    let bytes =
+        table(&camera, &drawn, Sha256([0; 32]), "street", None, 10.0).expect("a right table");
     LaneTable::parse(bytes).expect("a right table")
 }
 

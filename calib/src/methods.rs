@@ -180,7 +180,8 @@ fn of_joint(
     let worst = named().max_by(|a, b| a.1.total_cmp(b.1)).map(|(name, misfit)| (name, *misfit));
     // A length that cannot be stated is no better than one that is badly uncertain.
     let rel_err = Some(calibration.rel_err.unwrap_or(f64::NAN));
-    let evidence = Evidence { rel_err, worst, focal_bounds: None };
+    let far_rel_err = Some(joint.known().far_ahead().map_or(f64::NAN, |e| e.rel_sd));
+    let evidence = Evidence { rel_err, far_rel_err, worst, focal_bounds: None };
     calibration.trust = match misfit_vehicle(problem, &settings, &joint) {
         Some(reason) => Trust::Refused(reason),
         None => verdict(problem, &camera, &evidence),
@@ -289,7 +290,7 @@ fn of_stages(
     calibration.vehicles = matches(problem, &stages.matched);
     calibration.evaluations = stages.evaluations();
     calibration.stages = Some(losses(problem, &stages, weights));
-    let evidence = Evidence { rel_err: None, worst: None, focal_bounds: bounds };
+    let evidence = Evidence { rel_err: None, far_rel_err: None, worst: None, focal_bounds: bounds };
     calibration.trust = verdict(problem, &camera, &evidence);
     Ok(calibration)
 }

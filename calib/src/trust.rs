@@ -209,6 +209,8 @@ impl<'de> Deserialize<'de> for Trust {
 pub struct Evidence<'a> {
     /// Stated standard error of a length, as a part of it; `None`: the method states none.
     pub rel_err: Option<f64>,
+    /// The same at the far end of what the camera resolves.
+    pub far_rel_err: Option<f64>,
     /// The vehicle whose key points fit worst, and their root mean square misfit, px.
     pub worst: Option<(&'a str, f64)>,
     /// The bounds of the focal length in the search, px.
@@ -224,8 +226,14 @@ pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence<'_>) -> T
             .or_else(|| focal_bound(camera, evidence))
             .or_else(|| misfit(problem, evidence))
             .or_else(|| uncertain(evidence.rel_err, || None))
+            .or_else(|| uncertain_far(evidence.far_rel_err?, further))
             .or_else(|| above_horizon(problem, camera)),
     )
+}
+
+/// What mends the far end where vehicles are labelled.
+fn further() -> Option<String> {
+    Some("vehicles further away, two traced lane lines or a known length".into())
 }
 
 fn few_vehicles(problem: &Problem, evidence: &Evidence<'_>) -> Option<Reason> {

@@ -116,7 +116,7 @@ fn the_same_seed_gives_the_same_calibration() {
     let folder = Folder::new("seed");
     let run = |name: &str, seed: &str| {
         let json = folder.join(name);
-        let out = calibrate(&data("k109f/labels"), &json, &["--seed", seed]);
+        let out = calibrate(&data("k109f/labels"), &json, &["--method", "mvcalib", "--seed", seed]);
         assert!(out.status.success(), "{}", stderr(&out));
         let text = std::fs::read_to_string(&json).unwrap();
         let lines = text.lines().filter(|l| !l.contains("wall_time_s"));
@@ -190,7 +190,8 @@ fn one_vehicle_is_not_trusted_and_its_table_is_refused_unless_forced() {
         let table = ["table", "--calibration", json, "--lanes", lanes, "--out", out];
         let refused = mvcalib(&table);
         assert_eq!(refused.status.code(), Some(65));
-        assert!(stderr(&refused).contains("1 vehicle"), "{}", stderr(&refused));
+        let why = if method == "joint" { "at the far end are uncertain by" } else { "1 vehicle" };
+        assert!(stderr(&refused).contains(why), "{}", stderr(&refused));
         assert!(!lut.exists());
         let forced = mvcalib(&[&table[..], &["--force"]].concat());
         assert!(forced.status.success(), "{}", stderr(&forced));
@@ -199,7 +200,9 @@ fn one_vehicle_is_not_trusted_and_its_table_is_refused_unless_forced() {
             let refused = cells(wrong);
             assert_eq!(refused.status.code(), Some(64), "{wrong}: {}", stderr(&refused));
         }
-        for (length, version) in [("10", 1), ("7.5", 3)] {
+        // A method that states its error does so for each lane and cell.
+        let versions = if method == "joint" { [4, 4] } else { [1, 3] };
+        for (length, version) in ["10", "7.5"].into_iter().zip(versions) {
             assert!(cells(length).status.success());
             let bytes = std::fs::read(&lut).unwrap();
             let table = verge::lane::LaneTable::parse(&bytes[..]).unwrap();
@@ -229,6 +232,73 @@ fn a_vehicle_in_the_sky_is_named() {
     let out = calibrate(&labels, &json, &["--method", "joint"]);
     let message = stderr(&out);
     assert!(message.contains("NOT TRUSTED") && message.contains("vehicle_07"), "{message}");
+}
+
+/// Four lengths on K109F's road: two dashes and gaps of 6 m, the width of a lane near and far.
+const LENGTHS: &str = r#"{"imageWidth":320,"imageHeight":240,"shapes":[
+  {"label":"6 m","shape_type":"linestrip","points":[[157.56,158.78],[145.14,181.74]]},
+  {"label":"hk-lane","shape_type":"linestrip","points":[[169.80,125.08],[166.16,139.30]]},
+  {"label":"3.5 m","shape_type":"line","points":[[145.14,181.74],[177.6,181.74]]},
+  {"label":"lane 3.5","shape_type":"line","points":[[170.70,114.04],[190.7,114.04]]}]}"#;
+
+#[test]
+fn lengths_alone_calibrate_a_camera_and_state_its_error() {
+    let folder = Folder::new("road");
+    let (json, lengths) = (folder.join("k.json"), folder.join("lengths.json"));
+    std::fs::write(&lengths, LENGTHS).unwrap();
+    let road = |more: &[&str]| {
+        let given = ["calibrate", "--method", "road", "--out", text(&json)];
+        mvcalib(&[&given[..], more].concat())
+    };
+    let size = ["--image-size", "320x240"];
+    let nothing = road(&size);
+    assert_eq!(nothing.status.code(), Some(64), "{}", stderr(&nothing));
+    assert!(stderr(&nothing).contains("give --lengths first"), "{}", stderr(&nothing));
+    let sizeless = road(&["--lengths", text(&lengths)]);
+    assert!(stderr(&sizeless).contains("--image-size"), "{}", stderr(&sizeless));
+    assert!(!json.exists(), "nothing is written after an error");
+
+    let out = road(&[&size[..], &["--lengths", text(&lengths)]].concat());
+    assert!(out.status.success(), "{}", stderr(&out));
+    let said = stderr(&out);
+    assert!(said.contains("far (v") && said.contains("mark 2 (hk-lane): 6.00 m"), "{said}");
+    let written: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert_eq!(written["method"], "road");
+    assert!(written["rel_err"].as_f64().unwrap() > 0.0);
+    for place in ["near", "middle", "far"] {
+        assert!(written["errors"][place]["along"].is_number(), "{place}");
+    }
+
+    let marks = text(&lengths);
+    let verify = ["verify", "--calibration", text(&json), "--marks", marks];
+    let (table, plain) = (mvcalib(&verify), mvcalib(&[&verify[..], &["--json"]].concat()));
+    assert!(stderr(&table).contains("the mean length is off by"), "{}", stderr(&table));
+    assert_eq!((plain.stdout, plain.stderr.len()), (table.stdout, 0));
+}
+
+#[test]
+fn a_length_that_contradicts_the_others_is_named() {
+    let folder = Folder::new("contradiction");
+    let (json, lengths) = (folder.join("k.json"), folder.join("lengths.json"));
+    // 6 m typed as 60, beside three more that agree with the rest.
+    let more = r#"{"label":"12 m","shape_type":"linestrip","points":[[166.16,139.30],[145.14,181.74]]},
+      {"label":"60 m","shape_type":"linestrip","points":[[170.49,105.52],[170.70,114.04]]},"#;
+    let edited = LENGTHS.replacen(r#""shapes":["#, &format!(r#""shapes":[{more}"#), 1);
+    std::fs::write(&lengths, edited).unwrap();
+    let out = mvcalib(&[
+        "calibrate",
+        "--method",
+        "road",
+        "--image-size",
+        "320x240",
+        "--lengths",
+        text(&lengths),
+        "--out",
+        text(&json),
+    ]);
+    let said = stderr(&out);
+    assert!(said.contains("NOT TRUSTED") && said.contains("(60 m) is given as 60.00 m"), "{said}");
 }
 
 #[test]

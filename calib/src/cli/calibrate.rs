@@ -97,7 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let problem = arguments.problem()?;
     let mut calibration = match &problem {
         Some(problem) => arguments.with_vehicles(problem)?,
-        None => arguments.from_the_road()?,
+        None => arguments.without_vehicles()?,
     };
     calibration.camera_id = arguments.camera_id.clone();
     write_whole(&arguments.out, calibration.to_json().as_bytes())?;
@@ -150,7 +150,7 @@ impl Arguments {
         Ok(calibration)
     }
 
-    fn from_the_road(&self) -> Result<Calibration> {
+    fn without_vehicles(&self) -> Result<Calibration> {
         let size = self.image_size.ok_or_else(|| {
             Error::Usage("--image-size WIDTHxHEIGHT is needed where no vehicle is labelled".into())
         })?;

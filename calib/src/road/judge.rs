@@ -8,6 +8,7 @@ use super::lane_table::DrawnLane;
 use super::length_error::UncertainCamera;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::trust::MAX_REL_ERR;
 use nalgebra::{Vector2, Vector3};
 use std::fmt;
 use verge::density::Division;
@@ -180,6 +181,14 @@ fn problem(g: &Geometry, widens: bool) -> Option<String> {
             "it is {widest:.1} m wide (limit {most} m): it covers two lanes; draw each by itself"
         ));
     }
+    if let Some(e) = g.rel_err.filter(|e| *e > MAX_REL_ERR) {
+        return Some(format!(
+            "its length is known to {:.0} % only (limit {:.0} %); end it nearer, or calibrate with \
+             a known length at its far end",
+            100.0 * e,
+            100.0 * MAX_REL_ERR
+        ));
+    }
     (widest < least / doubt).then(|| {
         format!("it is {widest:.1} m wide (limit {least} m); draw it along the lane's lines")
     })
@@ -236,9 +245,10 @@ mod tests {
         assert_eq!(judged.problem, None);
         let g = judged.geometry;
         assert!((g.length_m - 50.0).abs() < 1e-6 && (g.near_width_m - 3.2).abs() < 1e-6);
-        // Y^2 / (f h) m a pixel, a little more off the axis.
-        assert!((g.far_span_m - 75.0 * 75.0 / (350.0 * 12.0)).abs() < 0.1, "{g}");
-        assert!((g.far_car_px[0] - 8.2).abs() < 0.5, "{g}");
+        // (Y^2 + h^2) / (f h) m a pixel on the axis, less towards the picture's upper edge.
+        assert!((g.far_span_m - 1.37).abs() < 0.08, "{g}");
+        // 1.8 m at the car's near end, 73 m away.
+        assert!((g.far_car_px[0] - 1.8 * 350.0 / 72.5).abs() < 0.2, "{g}");
         require(&[verdict(&[[-1.6, 25.0], [1.6, 25.0], [1.6, 75.0], [-1.6, 75.0]], false)])
             .unwrap();
     }
@@ -253,9 +263,9 @@ mod tests {
         for (ground, expected) in [
             (&two[..], "6.4 m wide (limit 5.5 m): it covers two lanes"),
             (&part[..], "it covers two lanes in part"),
-            (&far[..], "1 px is 4."),
+            (&far[..], "1 px is 3.8 m along the road"),
             (&strip[..], "1.0 m wide (limit 1.8 m)"),
-            (&short[..], "3.0 m long"),
+            (&short[..], "m long, at least 5 m are needed"),
         ] {
             let problem = verdict(ground, false).problem.unwrap();
             assert!(problem.contains(expected), "{problem}");

@@ -10,6 +10,10 @@ use nalgebra::{Matrix6, Rotation3, Vector2, Vector3, Vector6};
 /// Covariance of (log f, tilt, roll, log height, k1, crest in 1/m).
 pub type CameraCovariance = Matrix6<f64>;
 
+/// Length of the stretch far ahead, m.
+const STRETCH_M: f64 = 10.0;
+/// Road length that one pixel spans at the far end of what a camera resolves, m.
+const SPAN_M: f64 = 1.0;
 /// Steps of the central differences.
 const STEP: [f64; 6] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-8];
 
@@ -62,6 +66,17 @@ impl UncertainCamera {
         let gradient = self.gradient(stretches)?;
         let rel_sd = gradient.dot(&(self.covariance * gradient)).max(0.0).sqrt();
         rel_sd.is_finite().then_some(LengthError { length_m, rel_sd })
+    }
+
+    /// Error of a 10 m stretch straight ahead at the far end of what the camera resolves: where
+    /// one pixel spans a metre of the road.
+    pub fn far_ahead(&self) -> Option<LengthError> {
+        let centre = self.camera.pose.camera_centre();
+        let axis = self.camera.pose.rotation.inverse() * Vector3::z();
+        let ahead = axis.xy().try_normalize(1e-9)?;
+        let far_m = (self.camera.lens.f * centre.z * SPAN_M).sqrt();
+        let at = |m: f64| centre.xy() + ahead * m;
+        self.between(at(far_m - 0.5 * STRETCH_M), at(far_m + 0.5 * STRETCH_M))
     }
 
     /// The same for a stretch between two places on the road, m.

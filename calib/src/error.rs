@@ -5,6 +5,8 @@
 
 use crate::trust::Reason;
 use std::path::PathBuf;
+use verge_desk::Exit;
+use verge_desk::sysexits::{DATAERR, NOINPUT, SOFTWARE, USAGE};
 
 /// Why a calibration, a check or a table could not be made.
 ///
@@ -13,22 +15,9 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file or folder is missing or cannot be opened.
-    #[error("{path}: cannot read: {source}; check the path", path = path.display())]
-    Read {
-        /// The file asked for.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// An output file cannot be written. The former file, if any, is untouched.
-    #[error("{path}: cannot write: {source}; nothing was changed", path = path.display())]
-    Write {
-        /// The file asked for.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    /// A file that cannot be read or written.
+    #[error(transparent)]
+    Desk(#[from] verge_desk::Failure),
     /// A JSON file does not have the expected shape.
     #[error("{path}: not the expected JSON: {detail}", path = path.display())]
     Json {
@@ -187,16 +176,14 @@ pub enum Error {
 /// The result type of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
-impl Error {
-    /// The sysexits code of this error: 64 usage, 65 bad data, 66 no input,
-    /// 70 software, 73 cannot create.
-    pub fn exit_code(&self) -> u8 {
+impl Exit for Error {
+    fn exit_code(&self) -> u8 {
         match self {
-            Error::Usage(_) => 64,
-            Error::Read { .. } | Error::EmptyFolder { .. } => 66,
-            Error::Solver { .. } => 70,
-            Error::Write { .. } => 73,
-            _ => 65,
+            Error::Desk(failure) => failure.exit_code(),
+            Error::Usage(_) => USAGE,
+            Error::EmptyFolder { .. } => NOINPUT,
+            Error::Solver { .. } => SOFTWARE,
+            _ => DATAERR,
         }
     }
 }

@@ -49,8 +49,7 @@ impl VehicleModel {
 /// Reads vehicle models: the paper's JSON, an object from name to a list of [x, y, z] in
 /// label order, metres. A `null` in the list is a key point the model does not have.
 pub fn read_models(path: &Path) -> Result<Vec<VehicleModel>> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    let text = verge_desk::read_text(path)?;
     parse_models(&text).map_err(|error| match error {
         Error::Json { detail, .. } => Error::Json { path: path.to_owned(), detail },
         other => other,

@@ -7,4 +7,3 @@ pub mod eval;
 pub mod failure;
 pub mod light;
 pub mod mix;
-pub mod whole;

@@ -4,8 +4,8 @@
 //! picture; the upper third, where the sky or the far dark lies, tells them apart. The rule:
 //! night when the mean Rec. 601 luminance of the upper third is below `NIGHT_BELOW_LUMA`.
 
-use crate::failure::Failure;
 use std::path::Path;
+use verge_desk::Failure;
 
 /// Mean luminance of the upper third (0..255) below which a picture is a night picture.
 ///

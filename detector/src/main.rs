@@ -1,8 +1,7 @@
-//! `verge-detector`: the commands, their arguments and their exit codes.
+//! `verge-detector`: the commands and their arguments.
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
-use verge_detector::failure::{Failure, USAGE};
 use verge_detector::{eval, mix};
 
 /// Choose training pictures, score detections.
@@ -22,24 +21,8 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
-        Err(error) => {
-            let code = if error.use_stderr() { USAGE } else { 0 };
-            // A closed terminal must not change the exit code.
-            let _ = error.print();
-            return ExitCode::from(code);
-        }
-    };
-    let result: Result<(), Failure> = match arguments.command {
+    verge_desk::run_main(|arguments: Arguments| match arguments.command {
         Command::Mix(arguments) => mix::run(&arguments),
-        Command::Eval(arguments) => eval::run(&arguments),
-    };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("verge-detector: {failure}");
-            ExitCode::from(failure.code())
-        }
-    }
+        Command::Eval(arguments) => Ok(eval::run(&arguments)?),
+    })
 }

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use verge_desk::skip;
 
 struct Random(u64);
 
@@ -69,11 +70,6 @@ fn fixture(folder: &Path) {
     }
     fs::write(folder.join("truth.jsonl"), truth).unwrap();
     fs::write(folder.join("detections.jsonl"), detections).unwrap();
-}
-
-fn skip(reason: &str) {
-    assert!(std::env::var_os("VERGE_NO_SKIP").is_none(), "VERGE_NO_SKIP is set, but {reason}");
-    eprintln!("SKIPPED: {reason}");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// A traffic camera as a calibrated sensor of density, lane by lane.
 #[derive(Debug, Parser)]
 #[command(version, arg_required_else_help = true)]
-struct Cli {
+pub(super) struct Cli {
     #[command(subcommand)]
     command: Command,
 }
@@ -50,19 +50,14 @@ enum Command {
     Demo,
 }
 
-/// Reads the command line and does what it says.
-pub(super) fn run<L, R, W, T>(board: Board<L, R, W, T>) -> Result<(), Failure>
+/// Does what the command line says.
+pub(super) fn run<L, R, W, T>(cli: Cli, board: Board<L, R, W, T>) -> Result<(), Failure>
 where
     L: Switch,
     R: Switch,
     W: Watchdog,
     T: Thermometer,
 {
-    let cli = Cli::try_parse().unwrap_or_else(|error| {
-        let _ = error.print();
-        // sysexits: 64 is a wrong command line; help and version are none.
-        std::process::exit(if error.use_stderr() { 64 } else { 0 });
-    });
     let level = if matches!(cli.command, Command::Run { .. }) {
         log::LevelFilter::Info
     } else {

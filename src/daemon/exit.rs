@@ -13,20 +13,8 @@ use super::publish::TlsError;
 use super::spool::SpoolError;
 use crate::density::AggregateError;
 use std::path::PathBuf;
-use std::process::ExitCode;
-
-/// Wrong input data.
-pub const DATAERR: u8 = 65;
-/// An input file that is missing or cannot be read.
-pub const NOINPUT: u8 = 66;
-/// A service (broker, camera) that is not there.
-pub const UNAVAILABLE: u8 = 69;
-/// A fault of the program.
-pub const SOFTWARE: u8 = 70;
-/// An output file that cannot be made.
-pub const CANTCREAT: u8 = 73;
-/// Wrong configuration.
-pub const CONFIG: u8 = 78;
+use verge_desk::Exit;
+use verge_desk::sysexits::{CANTCREAT, CONFIG, DATAERR, NOINPUT, SOFTWARE, UNAVAILABLE};
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
@@ -156,9 +144,10 @@ impl Failure {
     pub fn is_missing_picture(&self) -> bool {
         matches!(self, Self::Capture(fault) if !fault.is_damage())
     }
+}
 
-    /// The exit code.
-    pub fn code(&self) -> u8 {
+impl Exit for Failure {
+    fn exit_code(&self) -> u8 {
         match self {
             Self::Config(ConfigError::Read { .. }) => NOINPUT,
             Self::Config(_) | Self::Aggregate(_) | Self::Snapshot(SnapshotError::Url { .. }) => {
@@ -200,11 +189,5 @@ impl From<SourceError> for Failure {
             SourceError::Mjpeg(error) => error.into(),
             SourceError::Device(error) => error.into(),
         }
-    }
-}
-
-impl From<&Failure> for ExitCode {
-    fn from(failure: &Failure) -> Self {
-        Self::from(failure.code())
     }
 }

@@ -46,11 +46,5 @@ where
     W: Watchdog,
     T: Thermometer,
 {
-    match cli::run(board) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("verge: {failure}");
-            ExitCode::from(&failure)
-        }
-    }
+    verge_desk::run_main(|arguments| cli::run(arguments, board))
 }

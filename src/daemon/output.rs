@@ -1,4 +1,8 @@
-//! Output files that are there whole or not at all.
+//! Output files that are there whole or not at all, written line by line.
+//!
+//! Not `verge_desk`'s, which has a new name for each partial file: the metrics are written every
+//! few seconds for years, and power cuts would leave one such file each on the box's flash. Here
+//! the next one takes the place of what a power cut left.
 
 use super::exit::Failure;
 use std::fs::{self, File};

@@ -1,9 +1,9 @@
 //! Every way the simulator can fail, with what was wrong, where, and what to do.
 //!
-//! Owns the error type and its exit codes (sysexits). Printing is `main.rs`.
+//! Owns the error type and its exit codes (sysexits); those of files are `verge_desk`'s.
 
-use std::io;
-use std::path::PathBuf;
+use verge_desk::Exit;
+use verge_desk::sysexits::{DATAERR, IOERR};
 
 /// The result of anything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
@@ -11,15 +11,10 @@ pub type Result<T> = std::result::Result<T, Error>;
 /// A failure of the simulator.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The scene file cannot be read.
-    #[error("scene {path}: cannot read it ({source}); give a readable scene file with --scene")]
-    SceneRead {
-        /// The file asked for.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The scene file is no TOML, or has a key that no scene has.
+    /// Arguments or files.
+    #[error(transparent)]
+    Desk(#[from] verge_desk::Failure),
+    /// The scene file is not TOML, or has a key that no scene has.
     #[error("scene {origin}: {message}; docs/street.md lists the keys")]
     SceneSyntax {
         /// The file, or `<text>`.
@@ -57,28 +52,6 @@ pub enum Error {
         /// Length of the longest vehicle of the scene, m.
         envelope_m: f64,
     },
-    /// The output folder holds something already.
-    #[error("output {path}: exists and is not empty; give a new folder with --out")]
-    OutputNotEmpty {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// The output folder cannot be made.
-    #[error("output {path}: cannot create it ({source}); check that its parent is writable")]
-    OutputCreate {
-        /// The folder.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// A file of the recording cannot be written.
-    #[error("output {path}: cannot write it ({source}); nothing was left in the output folder")]
-    OutputWrite {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
     /// The JPEG encoder refused a frame.
     #[error("frame {frame}: JPEG encoding failed ({message})")]
     Jpeg {
@@ -89,16 +62,14 @@ pub enum Error {
     },
 }
 
-impl Error {
-    /// The sysexits code of this failure: 65 bad data, 66 no input, 73 cannot create, 74 I/O.
-    pub fn exit_code(&self) -> u8 {
+impl Exit for Error {
+    fn exit_code(&self) -> u8 {
         match self {
-            Error::SceneRead { .. } => 66,
+            Error::Desk(failure) => failure.exit_code(),
             Error::SceneSyntax { .. } | Error::SceneValue { .. } | Error::LaneNotVisible { .. } => {
-                65
+                DATAERR
             }
-            Error::OutputNotEmpty { .. } | Error::OutputCreate { .. } => 73,
-            Error::OutputWrite { .. } | Error::Jpeg { .. } => 74,
+            Error::Jpeg { .. } => IOERR,
         }
     }
 }

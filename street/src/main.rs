@@ -1,6 +1,6 @@
 //! The command `street`: record a scene, or measure how fast it is drawn.
 //!
-//! Owns the command line and exit codes (sysexits); all work is in the library.
+//! Owns the command line; all work is in the library.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -57,28 +57,13 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
-        Ok(cli) => cli,
-        Err(fault) => {
-            // Help and version are no faults; nothing can be done about a closed terminal.
-            let _ = fault.print();
-            return ExitCode::from(if fault.use_stderr() { 64 } else { 0 });
-        }
-    };
-    let done = match cli.command {
+    verge_desk::run_main(|cli: Cli| match cli.command {
         Command::Record { scene, frames, seed, set, out } => Scene::read(&scene, &set)
             .and_then(|scene| recording::write(&scene, frames as usize, seed, &out)),
         Command::Bench { scene, frames, seed, set } => {
             Scene::read(&scene, &set).and_then(|scene| bench(&scene, frames, seed))
         }
-    };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(fault) => {
-            eprintln!("street: {fault}");
-            ExitCode::from(fault.exit_code())
-        }
-    }
+    })
 }
 
 fn bench(scene: &Scene, frames: u32, seed: u64) -> Result<()> {
@@ -104,6 +89,5 @@ fn bench(scene: &Scene, frames: u32, seed: u64) -> Result<()> {
         "mean_vehicles": (vehicles as f64 / f64::from(frames)).round(),
         "mean_jpeg_bytes": (bytes as f64 / f64::from(frames)).round(),
     });
-    println!("{report}");
-    Ok(())
+    Ok(verge_desk::print(&format!("{report}\n"))?)
 }

@@ -1,7 +1,6 @@
 //! A recording on disk: frames, truth, the true calibration, the lanes, and what made it.
 //!
-//! Owns the layout of the folder and that it is whole or absent: all is written into a hidden
-//! folder beside it, which is renamed at the end. Layout:
+//! Owns the layout of the folder, which is whole or absent. Layout:
 //!
 //! ```text
 //! OUT/frames/20260105T080000.000Z.jpg ...   one JPEG per frame, named by its UTC time
@@ -12,11 +11,12 @@
 //! ```
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde_json::{Value, json};
+use verge_desk::{Failure, WholeFolder};
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::faults::{Picture, View};
 use crate::measured::labelme;
 use crate::render::{Image, Renderer};
@@ -46,7 +46,7 @@ impl Recorder {
     /// A recorder at the first frame.
     ///
     /// # Errors
-    /// [`Error::LaneNotVisible`].
+    /// [`crate::error::Error::LaneNotVisible`].
     pub fn new(scene: &Scene, seed: u64) -> Result<Self> {
         let street = Simulation::new(scene, seed)?;
         let renderer = Renderer::new(&street, seed);
@@ -134,31 +134,28 @@ pub fn calibration(scene: &Scene) -> Value {
 /// Writes a recording of `frames` frames into a new or empty folder.
 ///
 /// # Errors
-/// [`Error::OutputNotEmpty`], [`Error::OutputCreate`], [`Error::OutputWrite`], [`Error::Jpeg`],
-/// [`Error::LaneNotVisible`]; on every one of them the folder is left as it was.
+/// [`crate::error::Error`]; on every one of them the folder is left as it was.
 pub fn write(scene: &Scene, frames: usize, seed: u64, out: &Path) -> Result<()> {
     let mut recorder = Recorder::new(scene, seed)?;
-    let staging = Staging::beside(out)?;
-    let create = |path: &Path| {
-        fs::create_dir(path)
-            .map_err(|source| Error::OutputCreate { path: path.to_path_buf(), source })
-    };
-    create(&staging.path.join("frames"))?;
+    let folder = WholeFolder::beside(out)?;
+    let path = |name: &str| folder.path().join(name);
+    let frames_folder = path("frames");
+    fs::create_dir(&frames_folder).map_err(|source| Failure::writing(&frames_folder, source))?;
     let mut lines = String::new();
     let mut first = None;
     for _ in 0..frames {
         let frame = recorder.next_frame();
         let name = frame.truth.frame.clone();
         let bytes = frame.picture.jpeg(scene.imaging.jpeg_quality, &name)?;
-        save(&staging.path.join("frames").join(&name), &bytes)?;
+        save(&frames_folder.join(&name), &bytes)?;
         lines.push_str(&line(&frame.truth));
         first.get_or_insert(name);
     }
-    save(&staging.path.join("truth.jsonl"), lines.as_bytes())?;
-    save_json(&staging.path.join("calibration.json"), &calibration(scene))?;
+    save(&path("truth.jsonl"), lines.as_bytes())?;
+    save_json(&path("calibration.json"), &calibration(scene))?;
     let picture = format!("frames/{}", first.unwrap_or_default());
     let lanes = labelme(scene, recorder.street().measured(), &picture);
-    save_json(&staging.path.join("lanes.json"), &lanes)?;
+    save_json(&path("lanes.json"), &lanes)?;
     let about = json!({
         "format": "street-recording",
         "version": 1,
@@ -169,8 +166,8 @@ pub fn write(scene: &Scene, frames: usize, seed: u64, out: &Path) -> Result<()> 
         "interval_s": scene.interval_s,
         "start": scene.frame_time(0).rfc3339(),
     });
-    save_json(&staging.path.join("recording.json"), &about)?;
-    staging.publish(out)
+    save_json(&path("recording.json"), &about)?;
+    Ok(folder.publish()?)
 }
 
 fn line(truth: &FrameTruth) -> String {
@@ -180,49 +177,11 @@ fn line(truth: &FrameTruth) -> String {
 }
 
 fn save(path: &Path, bytes: &[u8]) -> Result<()> {
-    fs::write(path, bytes).map_err(|source| Error::OutputWrite { path: path.to_path_buf(), source })
+    Ok(fs::write(path, bytes).map_err(|source| Failure::writing(path, source))?)
 }
 
 fn save_json(path: &Path, value: &Value) -> Result<()> {
     let mut text = serde_json::to_string_pretty(value).expect("plain JSON values");
     text.push('\n');
     save(path, text.as_bytes())
-}
-
-/// A hidden folder beside the output, removed unless published.
-struct Staging {
-    path: PathBuf,
-}
-
-impl Staging {
-    fn beside(out: &Path) -> Result<Self> {
-        let refuse = |source| Error::OutputCreate { path: out.to_path_buf(), source };
-        match fs::read_dir(out) {
-            Ok(mut entries) => {
-                if entries.next().is_some() {
-                    return Err(Error::OutputNotEmpty { path: out.to_path_buf() });
-                }
-            }
-            Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => {}
-            Err(fault) => return Err(refuse(fault)),
-        }
-        let name = out.file_name().map(|name| name.to_string_lossy().into_owned());
-        let name = name.ok_or_else(|| refuse(std::io::ErrorKind::InvalidInput.into()))?;
-        let path = out.with_file_name(format!(".{name}.{}.partial", std::process::id()));
-        fs::create_dir(&path).map_err(refuse)?;
-        Ok(Staging { path })
-    }
-
-    fn publish(self, out: &Path) -> Result<()> {
-        // On Unix, rename replaces an empty folder.
-        fs::rename(&self.path, out)
-            .map_err(|source| Error::OutputCreate { path: out.to_path_buf(), source })
-    }
-}
-
-impl Drop for Staging {
-    fn drop(&mut self) {
-        // After a publish nothing is left; otherwise a leftover is only untidy.
-        let _ = fs::remove_dir_all(&self.path);
-    }
 }

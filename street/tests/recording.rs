@@ -8,6 +8,7 @@ use std::path::Path;
 
 use street::error::Error;
 use street::recording;
+use verge_desk::{Exit, Failure};
 
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
@@ -45,7 +46,7 @@ fn a_folder_with_something_in_it_is_refused_and_left_alone() {
     let base = support::scratch("not_empty");
     fs::write(base.join("precious"), "1").expect("a file");
     let fault = recording::write(&support::tiny(&[]), 1, 1, &base).expect_err("not empty");
-    assert!(matches!(fault, Error::OutputNotEmpty { .. }), "{fault}");
+    assert!(matches!(fault, Error::Desk(Failure::Occupied { .. })), "{fault}");
     assert_eq!(fault.exit_code(), 73);
     assert_eq!(files(&base).len(), 1);
 }
@@ -55,6 +56,6 @@ fn a_failed_recording_leaves_nothing() {
     let base = support::scratch("nowhere");
     let out = base.join("missing").join("out");
     let fault = recording::write(&support::tiny(&[]), 1, 1, &out).expect_err("no parent");
-    assert!(matches!(fault, Error::OutputCreate { .. }), "{fault}");
+    assert!(matches!(fault, Error::Desk(Failure::Write { .. })), "{fault}");
     assert!(files(&base).is_empty());
 }

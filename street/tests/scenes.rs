@@ -5,6 +5,7 @@ mod support;
 use street::error::Error;
 use street::scene::Scene;
 use street::simulation::Simulation;
+use verge_desk::Exit;
 
 const TINY: &str = include_str!("../scenes/tiny.toml");
 

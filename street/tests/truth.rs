@@ -12,6 +12,7 @@ use street::recording::Recorder;
 use street::scene::Scene;
 use street::simulation::Simulation;
 use street::truth;
+use verge_desk::skip;
 
 fn curve(changes: &[&str]) -> Scene {
     let changes: Vec<String> = changes.iter().map(|change| (*change).to_owned()).collect();
@@ -155,11 +156,11 @@ for u, v in image.reshape(-1, 2):
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn();
-    let Ok(mut child) = child else { return support::skip("python3 is not here") };
+    let Ok(mut child) = child else { return skip("python3 is not here") };
     let sent = child.stdin.take().expect("a pipe").write_all(input.as_bytes());
     let output = child.wait_with_output().expect("python3 ends");
     if output.status.code() == Some(69) {
-        return support::skip("python3 has no cv2 (pip install opencv-python-headless)");
+        return skip("python3 has no cv2 (pip install opencv-python-headless)");
     }
     assert!(sent.is_ok() && output.status.success(), "{:?}", output.status);
     let text = String::from_utf8(output.stdout).expect("numbers");

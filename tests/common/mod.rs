@@ -1,10 +1,11 @@
-//! What the end-to-end tests share: where data lies, and how a test says that it is skipped.
+//! What the end-to-end tests share: where data lies, and running the program.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 pub mod mosquitto;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Output};
+pub use verge_desk::{shared, skip};
 
 /// The model that tests use, through its sidecar.
 pub const MODEL: &str = "models/verge_nanodet_640x480.toml";
@@ -16,24 +17,6 @@ pub const STREET_FRAMES: &str = "tests/data/curve/frames";
 pub const STREET_TABLE: &str = "tests/data/curve.lut";
 /// The lane table of the paper's camera.
 pub const K109F_TABLE: &str = "tests/data/k109f.lut";
-
-/// Says that a test is skipped. With `VERGE_NO_SKIP=1`, as in CI, that is a failure.
-pub fn skip(reason: &str) {
-    eprintln!("skipped: {reason}");
-    let refused = std::env::var_os("VERGE_NO_SKIP").is_some_and(|value| value == "1");
-    assert!(!refused, "VERGE_NO_SKIP=1, and this test was skipped: {reason}");
-}
-
-/// The shared data beside the project, or a skip. Never a failure: it is not part of the
-/// project and no machine can install it.
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let path = Path::new("../shared").join(path);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("skipped: {} is not there", path.display());
-    None
-}
 
 /// The recorded frames of the paper's camera.
 pub fn k109f_frames() -> Option<PathBuf> {

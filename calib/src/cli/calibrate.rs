@@ -6,7 +6,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Calibration;
 use mvcalib::files::labelme::{LabelFile, read_vehicles};
-use mvcalib::files::output::write_whole;
 use mvcalib::files::registration::FrameShifts;
 use mvcalib::files::road_cues;
 use mvcalib::joint::cues::RoadCues;
@@ -20,6 +19,7 @@ use mvcalib::road::fit::{Cues, Fit, fit};
 use mvcalib::road::marks::Marks;
 use mvcalib::trust::Trust;
 use std::path::{Path, PathBuf};
+use verge_desk::write_whole;
 
 /// Arguments of `calibrate`.
 #[derive(Debug, clap::Args)]
@@ -284,7 +284,7 @@ impl Arguments {
 
 /// Every picture of the folder must have the labels' size.
 fn check_pictures(folder: &Path, expected: [u32; 2]) -> Result<()> {
-    let read = |source| Error::Read { path: folder.to_owned(), source };
+    let read = |source| verge_desk::Failure::reading(folder, source);
     let mut any = false;
     for entry in std::fs::read_dir(folder).map_err(read)? {
         let path = entry.map_err(read)?.path();

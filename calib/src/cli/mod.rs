@@ -10,7 +10,7 @@ mod table;
 mod verify;
 
 use clap::{Parser, Subcommand};
-use mvcalib::error::{Error, Result};
+use mvcalib::error::Result;
 use mvcalib::files::calibration::Calibration;
 use std::path::PathBuf;
 
@@ -67,8 +67,7 @@ impl CalibrationFile {
 
     /// The file's bytes, for its hash.
     fn bytes(&self) -> Result<Vec<u8>> {
-        std::fs::read(&self.calibration)
-            .map_err(|source| Error::Read { path: self.calibration.clone(), source })
+        Ok(verge_desk::read_bytes(&self.calibration)?)
     }
 }
 

@@ -3,13 +3,13 @@
 use super::CalibrationFile;
 use mvcalib::error::{Error, Result};
 use mvcalib::files::labelme::{LabelFile, read_vehicles};
-use mvcalib::files::output::write_whole;
 use mvcalib::files::registration::FrameShifts;
 use mvcalib::model::read_models;
 use mvcalib::report::canvas::Canvas;
 use mvcalib::report::{draw_lanes, draw_metres, draw_vehicles, html, place};
 use mvcalib::road::lane_table::lanes;
 use std::path::PathBuf;
+use verge_desk::write_whole;
 
 /// Arguments of `report`.
 #[derive(Debug, clap::Args)]
@@ -65,7 +65,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let png = canvas.png()?;
     match kind {
-        "png" => write_whole(&arguments.out, &png),
-        _ => write_whole(&arguments.out, html(&calibration, &png, &placed).as_bytes()),
+        "png" => write_whole(&arguments.out, &png)?,
+        _ => write_whole(&arguments.out, html(&calibration, &png, &placed).as_bytes())?,
     }
+    Ok(())
 }

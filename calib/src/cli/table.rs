@@ -5,7 +5,6 @@ use mvcalib::camera::Camera;
 use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Sha256;
 use mvcalib::files::labelme::LabelFile;
-use mvcalib::files::output::write_whole;
 use mvcalib::report::canvas::Canvas;
 use mvcalib::report::{draw_lanes, draw_metres};
 use mvcalib::road::judge::{judge_lanes, require};
@@ -15,6 +14,7 @@ use mvcalib::road::scene_reference::{picture, pictures, reference};
 use std::path::PathBuf;
 use verge::lane::{DEFAULT_CELL_LENGTH_M, MAX_CELL_LENGTH_M, MIN_CELL_LENGTH_M};
 use verge::scene::Reference;
+use verge_desk::write_whole;
 
 /// Arguments of `table`.
 #[derive(Debug, clap::Args)]

@@ -269,8 +269,7 @@ impl Calibration {
 
     /// Reads a calibration file. `image_size` (px) stands in where the file has none.
     pub fn read(path: &Path, image_size: Option<[u32; 2]>) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text = verge_desk::read_text(path)?;
         let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };
         let mut calibration: Calibration =
             serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
@@ -374,6 +373,7 @@ fn flat_or_column<'de, D: serde::Deserializer<'de>>(
 mod tests {
     use super::*;
     use crate::trust::Reason;
+    use verge_desk::Exit;
 
     fn parse(json: &str) -> serde_json::Result<Calibration> {
         serde_json::from_str(json)

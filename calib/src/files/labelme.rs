@@ -107,8 +107,7 @@ fn other_format(value: &serde_json::Value) -> Option<&'static str> {
 impl LabelFile {
     /// Reads one file.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes =
-            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let bytes = verge_desk::read_bytes(path)?;
         Self::parse(&bytes).map_err(|detail| Error::Json { path: path.to_owned(), detail })
     }
 
@@ -302,7 +301,7 @@ pub fn read_vehicles(folder: &Path) -> Result<(Vec<Vehicle>, [u32; 2])> {
 }
 
 fn json_files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let read = |source| Error::Read { path: folder.to_owned(), source };
+    let read = |source| verge_desk::Failure::reading(folder, source);
     let mut paths = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(read)? {
         let path = entry.map_err(read)?.path();

@@ -4,6 +4,5 @@
 
 pub mod calibration;
 pub mod labelme;
-pub mod output;
 pub mod registration;
 pub mod road_cues;

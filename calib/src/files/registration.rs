@@ -22,8 +22,7 @@ impl FrameShifts {
     /// Reads a shifts file.
     pub fn read(path: &Path) -> Result<Self> {
         let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text = verge_desk::read_text(path)?;
         let shifts: FrameShifts = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
         match shifts.shifts.iter().find(|(_, s)| !s.iter().all(|x| x.is_finite())) {
             Some((name, _)) => Err(wrong(format!("{name}: shift is not a finite number"))),

@@ -114,8 +114,7 @@ pub const MIN_SCORE: f64 = 0.3;
 
 /// Reads the boxes of a detector: one JSON line a frame, as `verge detect` writes them.
 pub fn boxes(path: &Path) -> Result<Vec<BoxCue>> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    let text = verge_desk::read_text(path)?;
     let mut all = Vec::new();
     for (frame, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         let parsed: Frame = serde_json::from_str(line).map_err(|e| Error::Json {

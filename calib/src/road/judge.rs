@@ -226,6 +226,7 @@ mod tests {
     use crate::road::lane_axis::LaneAxis;
     use crate::road::lane_axis::tests::{camera, picture};
     use verge::units::LaneId;
+    use verge_desk::Exit;
 
     fn lane(ground: &[[f64; 2]], widens: bool) -> DrawnLane {
         let camera = camera();

@@ -96,8 +96,7 @@ pub struct Accuracy {
 impl Marks {
     /// Reads and checks a marks file, or the lines of a labelme file.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes =
-            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let bytes = verge_desk::read_bytes(path)?;
         let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };
         let labelled = serde_json::from_slice::<serde_json::Value>(&bytes)
             .is_ok_and(|value| value.get("shapes").is_some());

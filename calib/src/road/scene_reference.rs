@@ -139,7 +139,7 @@ fn shift(sums: &mut [[i32; 2]], field: &Field<'_>, dx: f32, dy: f32) {
 /// # Errors
 /// Where the folder cannot be listed or holds none.
 pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
-    let read = |source| Error::Read { path: folder.to_owned(), source };
+    let read = |source| verge_desk::Failure::reading(folder, source);
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(read)? {
         let path = entry.map_err(read)?.path();

@@ -3,9 +3,9 @@
 //! Black is all, orange day, blue night; other slices are not drawn.
 
 use super::average::{Score, Slice};
-use crate::failure::Failure;
 use image::{Rgb, RgbImage};
 use std::path::Path;
+use verge_desk::Failure;
 
 const SIDE_PX: u32 = 500;
 const MARGIN_PX: u32 = 40;

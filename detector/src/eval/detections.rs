@@ -2,9 +2,9 @@
 
 use super::matching::Found;
 use super::truth::Frames;
-use crate::failure::{Failure, read_text};
 use std::collections::BTreeSet;
 use std::path::Path;
+use verge_desk::{Failure, read_text};
 
 #[derive(serde::Deserialize)]
 struct Line {

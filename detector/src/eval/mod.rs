@@ -13,9 +13,8 @@ mod truth;
 pub use average::{Score, Slice, score};
 pub use matching::{Found, Frame, Labelled, SIZES, Size};
 
-use crate::failure::Failure;
-use crate::whole::Batch;
 use std::path::PathBuf;
+use verge_desk::{Failure, make_parent, print, write_whole};
 
 /// Arguments of `eval`.
 #[derive(clap::Args, Debug)]
@@ -82,13 +81,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         })
         .collect();
     if let Some(path) = &arguments.curves {
-        let mut batch = Batch::default();
-        batch.add(path, &curve::png(&scores, path)?)?;
-        batch.commit()?;
+        make_parent(path)?;
+        write_whole(path, &curve::png(&scores, path)?)?;
     }
     let text = if arguments.json { report::json(&scores) } else { report::table(&scores) };
-    std::print!("{text}");
-    Ok(())
+    print(&text)
 }
 
 /// Everything, by light, by size, by camera: which frames, which sizes.

@@ -1,11 +1,11 @@
 //! Labels: YOLO text beside the pictures, or the simulator's `truth.jsonl`.
 
 use super::matching::{Frame, Labelled};
-use crate::failure::{Failure, read_text};
 use crate::light;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use verge_desk::{Failure, read_text};
 
 /// Frames by name.
 pub(super) type Frames = BTreeMap<String, Frame>;

@@ -29,7 +29,8 @@ impl Balance {
     pub fn check(&self) -> Result<(), Failure> {
         for (name, value) in [("beta", self.beta), ("gamma", self.gamma)] {
             if !(0.0..=1.0).contains(&value) {
-                return Err(Failure::Usage(format!("--{name} is {value}; give 0 to 1")));
+                let text = format!("--{name} is {value}; give 0 to 1");
+                return Err(verge_desk::Failure::Usage(text).into());
             }
         }
         Ok(())
@@ -167,6 +168,7 @@ fn solve(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use verge_desk::Exit;
 
     const PAPER: Balance = Balance { beta: 0.25, gamma: 0.25 };
 
@@ -225,7 +227,7 @@ mod tests {
     fn an_empty_scenario_names_gamma() {
         let error = allocate(&[vec![50, 0]], &names(1), &names(2), PAPER).unwrap_err();
         assert!(error.to_string().contains("gamma"), "{error}");
-        assert_eq!(error.code(), 65);
+        assert_eq!(error.exit_code(), 65);
     }
 
     #[test]

@@ -13,8 +13,8 @@ pub use sets::{Cell, read_scenarios};
 pub use table::print;
 
 use crate::failure::Failure;
-use crate::whole::Batch;
 use std::path::PathBuf;
+use verge_desk::Batch;
 
 /// Arguments of `mix`.
 #[derive(clap::Args, Debug)]

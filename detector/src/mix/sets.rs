@@ -1,10 +1,10 @@
 //! The pictures of each data set, sorted into scenarios.
 
-use crate::failure::{Failure, read_text};
 use crate::light;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use verge_desk::{Failure, read_text};
 
 /// The pictures of one data set in one scenario, sorted by path.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -6,12 +6,13 @@
 use crate::alarm::Alarm;
 use crate::daemon::assemble::{broker, first_picture, open_line};
 use crate::daemon::config::Config;
-use crate::daemon::exit::{self, Failure};
+use crate::daemon::exit::Failure;
 use crate::daemon::publish::{self, payload::status_name};
 use crate::daemon::station::Station;
 use crate::health::Event;
 use std::path::Path;
 use std::time::Duration;
+use verge_desk::{Exit, sysexits::SOFTWARE};
 
 /// Time between the two pictures: by then two of one scene that is not the table's count as
 /// a move, and a camera that gives more than one in this time must give another.
@@ -122,7 +123,7 @@ impl Report {
             Err(failure) => {
                 println!("FAIL  {name}: {failure}");
                 self.failed += 1;
-                self.code.get_or_insert(failure.code());
+                self.code.get_or_insert(failure.exit_code());
                 None
             }
         }
@@ -133,6 +134,6 @@ impl Report {
         if failed == 0 {
             return Ok(());
         }
-        Err(Failure::Checks { failed, checks, code: code.unwrap_or(exit::SOFTWARE) })
+        Err(Failure::Checks { failed, checks, code: code.unwrap_or(SOFTWARE) })
     }
 }

@@ -279,10 +279,9 @@ impl Scene {
     /// `table.key=value`, the value as in TOML, quotes around plain words may be left out.
     ///
     /// # Errors
-    /// [`Error::SceneRead`], [`Error::SceneSyntax`], [`Error::SceneValue`].
+    /// [`Error::Desk`], [`Error::SceneSyntax`], [`Error::SceneValue`].
     pub fn read(path: &Path, changes: &[String]) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| Error::SceneRead { path: path.to_path_buf(), source })?;
+        let text = verge_desk::read_text(path)?;
         Self::parse(&text, &path.display().to_string(), changes)
     }
 

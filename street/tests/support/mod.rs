@@ -1,4 +1,4 @@
-//! Shared by the tests: the tiny scene, scratch folders, and loud skips.
+//! Shared by the tests: the tiny scene and scratch folders.
 
 use std::path::PathBuf;
 
@@ -21,11 +21,4 @@ pub fn scratch(test: &str) -> PathBuf {
     }
     std::fs::create_dir_all(&path).expect("a scratch folder can be made");
     path
-}
-
-/// Says that a test was skipped; with VERGE_NO_SKIP=1 that is a failure.
-#[allow(dead_code)] // not every test binary skips
-pub fn skip(why: &str) {
-    eprintln!("skipped: {why}");
-    assert!(std::env::var_os("VERGE_NO_SKIP").is_none_or(|v| v != "1"), "VERGE_NO_SKIP=1: {why}");
 }

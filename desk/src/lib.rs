@@ -1,0 +1,21 @@
+//! What every program at a desk needs: failures with an exit code, a `main`, files that are
+//! there whole or not at all, reading with a path in the error, tests that say they skip.
+//!
+//! Owns the failures that all programs share ([`Failure`]) and the meaning of the exit codes
+//! ([`sysexits`]). A program adds its own failures in an enum around [`Failure`] and gives each
+//! a code by [`Exit`]. Knows nothing of cameras, messages or density.
+
+mod failure;
+mod program;
+mod read;
+mod skip;
+pub mod sysexits;
+mod whole;
+mod whole_folder;
+
+pub use failure::Failure;
+pub use program::{Exit, print, run_main};
+pub use read::{read_bytes, read_text, text};
+pub use skip::{shared, skip};
+pub use whole::{Batch, make_parent, write_whole, write_whole_with};
+pub use whole_folder::WholeFolder;

@@ -38,7 +38,6 @@ pub mod road;
 pub mod scene;
 pub mod simulation;
 mod solid;
-pub mod time;
 pub mod traffic;
 pub mod truth;
 pub mod vehicle;

@@ -24,6 +24,11 @@ use crate::scene::{Light, Scene};
 use crate::simulation::{Simulation, Snapshot};
 use crate::truth::{self, FrameTruth, VehicleTruth};
 
+/// A frame's time in the truth, UTC.
+const RFC_3339: &str = "%Y-%m-%dT%H:%M:%S%.3fZ";
+/// A frame's time as the stem of its name, UTC.
+const FILE_STEM: &str = "%Y%m%dT%H%M%S%.3fZ";
+
 /// One frame of a recording in memory.
 #[derive(Debug, Clone)]
 pub struct Frame {
@@ -102,8 +107,8 @@ impl Recorder {
         };
         let time = self.street.scene().frame_time(self.next - 1);
         FrameTruth {
-            frame: format!("{}.jpg", time.file_stem()),
-            time: time.rfc3339(),
+            frame: format!("{}.jpg", time.strftime(FILE_STEM)),
+            time: time.strftime(RFC_3339).to_string(),
             picture: view.picture,
             vehicles,
             lanes: truth::lanes(self.street.measured(), snapshot),
@@ -164,7 +169,7 @@ pub fn write(scene: &Scene, frames: usize, seed: u64, out: &Path) -> Result<()> 
         "seed": seed,
         "frames": frames,
         "interval_s": scene.interval_s,
-        "start": scene.frame_time(0).rfc3339(),
+        "start": scene.frame_time(0).strftime(RFC_3339).to_string(),
     });
     save_json(&path("recording.json"), &about)?;
     Ok(folder.publish()?)

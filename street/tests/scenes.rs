@@ -31,6 +31,10 @@ fn values_out_of_range_are_refused_with_key_and_range() {
         ("camera.tilt_deg=nan", "camera.tilt_deg"),
         ("interval_s=0.0", "interval_s"),
         ("start=yesterday", "start"),
+        ("start=2026-02-29T00:00:00Z", "start"),
+        ("start=2026-01-05T08:00:00", "start"),
+        ("start=2026-01-05T08:00:00.0001Z", "start"),
+        ("start=9999-12-31T00:00:00Z", "start"),
         ("name=a/b", "name"),
         ("light.rain=2.0", "light.rain"),
         ("imaging.jpeg_quality=0", "imaging.jpeg_quality"),
@@ -42,6 +46,15 @@ fn values_out_of_range_are_refused_with_key_and_range() {
         assert!(matches!(fault, Error::SceneValue { .. }), "{message}");
         assert!(message.contains(&format!("{key} = ")), "{message}");
     }
+}
+
+#[test]
+fn a_frames_time_is_counted_from_the_start_to_the_millisecond() {
+    let scene = support::tiny(&["start=2024-02-29T23:59:59.999Z", "interval_s=0.0333"]);
+    let times = [0, 1, 30].map(|frame| scene.frame_time(frame).to_string());
+    let expected =
+        ["2024-02-29T23:59:59.999Z", "2024-03-01T00:00:00.032Z", "2024-03-01T00:00:00.998Z"];
+    assert_eq!(times, expected);
 }
 
 #[test]

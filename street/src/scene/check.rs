@@ -4,7 +4,6 @@
 
 use super::Scene;
 use crate::error::{Error, Result};
-use crate::time::UtcMs;
 
 /// The longest road a scene may have, m: keeps sampling and traffic bounded.
 const MAX_ROAD_M: f64 = 5_000.0;
@@ -45,7 +44,7 @@ impl Scene {
         if !plain(&self.name) {
             return Err(c.refuse("name", &self.name, "letters, digits, '-', '_' and '.'"));
         }
-        if UtcMs::parse(&self.start).is_none() {
+        if self.start_time().is_none() {
             return Err(c.refuse("start", &self.start, "a UTC time such as 2026-01-05T08:00:00Z"));
         }
         c.within("interval_s", self.interval_s, 0.01, 3600.0)?;

@@ -12,13 +12,16 @@ pub use roadside::{Barrier, Bridge, BuildingRow, Ground, LampRow, Roadside, Stri
 
 use std::path::Path;
 
+use jiff::{SignedDuration, Timestamp};
 use nalgebra::Point3;
 use serde::Deserialize;
 
 use crate::camera::{Attitude, Camera};
 use crate::error::{Error, Result};
 use crate::road::{Piece, Road};
-use crate::time::UtcMs;
+
+/// No recording is longer: a million frames, an hour apart.
+const LONGEST: SignedDuration = SignedDuration::from_hours(1_000_000);
 
 /// One camera over one street.
 #[derive(Debug, Clone, Deserialize)]
@@ -326,9 +329,20 @@ impl Scene {
     }
 
     /// The instant of a frame, counted from 0.
-    pub fn frame_time(&self, frame: usize) -> UtcMs {
-        let start = UtcMs::parse(&self.start).expect("check() has parsed the start time");
-        start.plus_s(frame as f64 * self.interval_s)
+    ///
+    /// To the nearest millisecond.
+    pub fn frame_time(&self, frame: usize) -> Timestamp {
+        let start = self.start_time().expect("check() has parsed the start time");
+        let after_ms = (frame as f64 * self.interval_s * 1000.0).round() as i64;
+        start.checked_add(SignedDuration::from_millis(after_ms)).expect("check() leaves room")
+    }
+
+    /// The instant of the first frame; none where it is not a time in whole milliseconds, or so
+    /// late that no recording would end within the calendar.
+    fn start_time(&self) -> Option<Timestamp> {
+        let start: Timestamp = self.start.parse().ok()?;
+        start.checked_add(LONGEST).ok()?;
+        (start.subsec_nanosecond() % 1_000_000 == 0).then_some(start)
     }
 }
 

@@ -82,6 +82,49 @@ fn postcard_and_json_say_the_same() {
 }
 
 #[test]
+fn what_people_pipe_into_it_is_read() {
+    let lines = json_lines();
+    let values: Vec<serde_json::Value> =
+        lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let wrapped = |wrap: fn(&serde_json::Value) -> serde_json::Value| -> String {
+        values.iter().map(|value| wrap(value).to_string() + "\n").collect()
+    };
+    let pretty = |value: &serde_json::Value| serde_json::to_string_pretty(value).expect("JSON");
+    for input in [
+        lines.lines().map(|line| format!("verge/k109f/density/60s {line}\r\n")).collect(),
+        serde_json::to_string(&values).expect("JSON"),
+        pretty(&serde_json::json!(values)),
+        values.iter().map(pretty).collect::<Vec<_>>().join("\n"),
+        // mosquitto_sub -F %j, then -F %J; Node-RED and others.
+        wrapped(|value| {
+            serde_json::json!({"tst": "2026-01-05T08:01:00.1Z", "topic": "verge/k109f/\
+            density/60s", "qos": 1, "retain": 0, "payloadlen": 9, "payload": value.to_string()})
+        }),
+        wrapped(|value| serde_json::json!({"topic": "a", "payload": value})),
+        wrapped(|value| serde_json::json!({"key": null, "value": {"payload": value.to_string()}})),
+    ] {
+        let (code, output, errors) = convert(&input, &["--to", "json"]);
+        assert_eq!(
+            (code, output.as_str(), errors.as_str()),
+            (Some(0), lines.as_str(), ""),
+            "{input}"
+        );
+    }
+}
+
+#[test]
+fn a_site_is_no_formula() {
+    let input = json_lines().replace("k109f", "=HYPERLINK(\\\"x\\\")");
+    let (code, output, errors) = convert(&input, &["--to", "csv"]);
+    assert_eq!(code, Some(0), "{errors}");
+    let rows: Vec<_> = output.lines().skip(1).collect();
+    assert!(
+        !rows.is_empty() && rows.iter().all(|row| row.starts_with("\"'=HYPERLINK(")),
+        "{output}"
+    );
+}
+
+#[test]
 fn a_bad_line_is_named_and_the_others_are_converted() {
     let lines = json_lines();
     let (first, second) = lines.split_once('\n').expect("two messages");
@@ -89,8 +132,8 @@ fn a_bad_line_is_named_and_the_others_are_converted() {
     let (code, output, errors) = convert(&input, &["--to", "json"]);
     assert_eq!(code, Some(65), "{errors}");
     assert_eq!(output, lines);
-    assert!(errors.contains("line 3: no density message: missing field `site`"), "{errors}");
-    assert!(errors.contains("1 of 4 lines"), "{errors}");
+    assert!(errors.contains("line 3: not a density message: missing field `site`"), "{errors}");
+    assert!(errors.contains("1 of 3 messages"), "{errors}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The density of one window of one site, and the check that every reader relies on.
 
 use crate::wrong::{count, known, name, number, sha256};
-use crate::{LONGEST_NAME, SCHEMA, Schema, Status, Utc, Wrong};
+use crate::{SCHEMA, Schema, Status, Utc, Wrong};
 use serde::{Deserialize, Serialize};
 
 /// Most lanes of a camera.
@@ -41,7 +41,7 @@ pub struct Density {
     /// Version of the message.
     pub schema: Schema,
     /// The site that measured.
-    #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_NAME)))]
+    #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub site: String,
     /// Number among this site's messages of this window length, from 1. It goes on when the
     /// box restarts; a number that is missing waits on the box or was lost.
@@ -211,7 +211,7 @@ impl Cells {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "calibration"))]
 pub struct Calibration {
     /// Its name
-    #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_NAME)))]
+    #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub id: String,
     /// SHA-256 of the calibration file
     #[cfg_attr(feature = "schema", schemars(regex(pattern = "^[0-9a-f]{64}$")))]
@@ -227,7 +227,7 @@ pub struct Calibration {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "model"))]
 pub struct Model {
     /// Its name
-    #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_NAME)))]
+    #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub name: String,
     /// SHA-256 of the model file
     #[cfg_attr(feature = "schema", schemars(regex(pattern = "^[0-9a-f]{64}$")))]

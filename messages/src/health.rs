@@ -1,6 +1,6 @@
 //! The state of the sensor: `<root>/health`.
 
-use crate::{Alarm, LONGEST_NAME, Schema, Status, Utc};
+use crate::{Alarm, Schema, Status, Utc};
 use serde::{Deserialize, Serialize};
 
 /// Published on `<root>/health`, QoS 1, retained: at start, each minute, and when the status
@@ -12,7 +12,7 @@ pub struct Health {
     /// Version of the message.
     pub schema: Schema,
     /// Who.
-    #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_NAME)))]
+    #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub site: String,
     /// When.
     pub time: Utc,
@@ -69,7 +69,7 @@ pub struct Camera {
     /// Whether it looks where it was calibrated.
     pub aim: Aim,
     /// Name of the calibration in use, which tells the preset.
-    #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_NAME)))]
+    #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub preset: String,
     /// Shift of the latest picture against the calibration, px to the right and down; null
     /// where it was not measured.

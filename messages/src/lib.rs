@@ -28,6 +28,7 @@ mod density;
 #[cfg(feature = "formats")]
 pub mod formats;
 mod health;
+pub mod objects;
 mod presence;
 mod read;
 mod status;

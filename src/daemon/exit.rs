@@ -90,12 +90,12 @@ pub enum Failure {
         source: std::io::Error,
     },
     /// Messages that could not be converted.
-    #[error("{bad} of {lines} lines are no density message; the others are converted")]
+    #[error("{bad} of {count} messages could not be read; the others are converted")]
     Messages {
         /// How many.
         bad: usize,
-        /// Lines of the input.
-        lines: usize,
+        /// Of how many.
+        count: usize,
     },
     /// The broker.
     #[error("broker {host}:{port}: {reason}; is it running, and are host and port right?")]

@@ -62,8 +62,12 @@ fn number(value: Option<f32>) -> String {
     value.map_or_else(String::new, |value| rounded(value).to_string())
 }
 
-/// A text field: quoted where it holds a quote, comma or line end, its quotes doubled.
+/// A text field: quoted where it holds a quote, comma or line end, its quotes doubled. One that
+/// a spreadsheet would take for a formula has an apostrophe in front.
 fn quoted(text: &str) -> Cow<'_, str> {
+    if text.starts_with(['=', '+', '-', '@', '\t', '\r']) {
+        return format!("\"'{}\"", text.replace('"', "\"\"")).into();
+    }
     if text.contains(['"', ',', '\r', '\n']) {
         format!("\"{}\"", text.replace('"', "\"\"")).into()
     } else {
@@ -84,6 +88,18 @@ mod tests {
             \"k109f \"\"<&>\"\", east\",60,7,2026-01-05T08:00:00.000Z,\
             2026-01-05T08:01:00.000Z,true,2,unknown,,,,,,,,,,,123.7,3,60,poorContrast,c,0.02,m,61.85,\r";
         assert_eq!(rows(&message()), expected);
+    }
+
+    #[test]
+    fn a_name_is_no_formula() {
+        for (text, field) in [
+            ("=1+1", "\"'=1+1\""),
+            ("@SUM(A1)", "\"'@SUM(A1)\""),
+            ("-\"x\"", "\"'-\"\"x\"\"\""),
+            ("a=1", "a=1"),
+        ] {
+            assert_eq!(quoted(text), field);
+        }
     }
 
     #[test]

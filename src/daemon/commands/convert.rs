@@ -10,8 +10,9 @@ use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use verge_messages::Density;
 use verge_messages::formats::{Exporter, Format, Place};
+use verge_messages::objects::{Found, Objects, unwrapped};
 
-/// Longest line that is read, bytes: several times the largest message in JSON.
+/// Longest line in hexadecimal that is read, bytes: many times the largest message.
 const MAX_LINE: usize = 64 << 10;
 
 /// The formats, with what each writes.
@@ -41,13 +42,14 @@ impl From<Target> for Format {
     }
 }
 
-/// How messages stand in the input, one a line.
+/// How messages stand in the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 enum Form {
-    /// JSON, as `mosquitto_sub` prints it, with the topic in front (`-v`) or without.
+    /// JSON objects: one a line, with the topic in front (`mosquitto_sub -v`) or without, in
+    /// arrays, pretty-printed, or in the `payload` of another object (`-F %j`).
     #[default]
     Json,
-    /// Postcard in hexadecimal, as `mosquitto_sub -F %x` prints it.
+    /// Postcard in hexadecimal, one a line, as `mosquitto_sub -F %x` prints it.
     Postcard,
 }
 
@@ -57,7 +59,7 @@ pub struct Args {
     /// The format to write
     #[arg(long, value_enum)]
     to: Target,
-    /// How messages stand in the input, one a line
+    /// How messages stand in the input
     #[arg(long, value_enum, default_value_t)]
     from: Form,
     /// The messages [default: standard input]
@@ -99,46 +101,56 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let (name, mut input) = open(args.input.as_deref())?;
     let mut output = Output::open(args.out.as_deref())?;
     exporter.begin(clock::now().into()).map_or(Ok(()), |head| output.line(&head))?;
-    let (mut line, mut number, mut bad) = (Vec::new(), 0, 0);
-    loop {
-        number += 1;
-        let whole = next_line(&mut input, &mut line)
-            .map_err(|source| Failure::Input { path: name.clone(), source })?;
-        let message = match whole {
-            Line::End => break,
-            Line::Whole if line.trim_ascii().is_empty() => continue,
-            Line::Whole => read(args.from, &line),
-            Line::TooLong => Err(format!("a line of more than {MAX_LINE} bytes")),
-        };
+    let broken = |source| Failure::Input { path: name.clone(), source };
+    let (mut count, mut bad) = (0, 0);
+    let mut convert = |line: usize, message: Result<Density, String>| {
+        count += 1;
         match message {
-            Ok(message) => output.line(&exporter.message(&message))?,
+            Ok(message) => output.line(&exporter.message(&message)),
             Err(reason) => {
                 bad += 1;
-                eprintln!("verge: {}: line {number}: {reason}", name.display());
+                eprintln!("verge: {}: line {line}: {reason}", name.display());
+                Ok(())
+            }
+        }
+    };
+    match args.from {
+        Form::Json => {
+            let mut objects = Objects::of(input);
+            while let Some(Found { line, object }) = objects.next().map_err(broken)? {
+                convert(line, object.and_then(|object| of_json(&object)))?;
+            }
+        }
+        Form::Postcard => {
+            let (mut line, mut number) = (Vec::new(), 0);
+            loop {
+                number += 1;
+                let message = match next_line(&mut input, &mut line).map_err(broken)? {
+                    Line::End => break,
+                    Line::Whole if line.trim_ascii().is_empty() => continue,
+                    Line::Whole => of_postcard(&line),
+                    Line::TooLong => Err(format!("a line of more than {MAX_LINE} bytes")),
+                };
+                convert(number, message)?;
             }
         }
     }
     exporter.end().map_or(Ok(()), |tail| output.line(&tail))?;
     output.finish()?;
-    if bad > 0 { Err(Failure::Messages { bad, lines: number - 1 }) } else { Ok(()) }
+    if bad > 0 { Err(Failure::Messages { bad, count }) } else { Ok(()) }
 }
 
-/// Reads one message and checks it.
-fn read(form: Form, line: &[u8]) -> Result<Density, String> {
-    match form {
-        Form::Json => {
-            // `mosquitto_sub -v` prints the topic first, and no topic of ours has a brace.
-            let begin = line.iter().position(|&byte| byte == b'{').unwrap_or(0);
-            let json = line.get(begin..).unwrap_or_default();
-            verge_messages::read(json).map_err(|error| error.to_string())
-        }
-        Form::Postcard => {
-            let message = wire::decode(&unhex(line)?).map_err(|error| error.to_string())?;
-            let density = messages::density(&message, None);
-            density.check().map_err(|wrong| wrong.to_string())?;
-            Ok(density)
-        }
-    }
+/// Reads one message, in its wrappers or without, and checks it.
+fn of_json(object: &[u8]) -> Result<Density, String> {
+    verge_messages::read(&unwrapped(object)).map_err(|error| error.to_string())
+}
+
+/// Reads one message from hexadecimal and checks it.
+fn of_postcard(line: &[u8]) -> Result<Density, String> {
+    let message = wire::decode(&unhex(line)?).map_err(|error| error.to_string())?;
+    let density = messages::density(&message, None);
+    density.check().map_err(|wrong| wrong.to_string())?;
+    Ok(density)
 }
 
 /// Bytes from hexadecimal, spaces around it passed over.
@@ -223,7 +235,7 @@ mod tests {
 
     #[test]
     fn postcard_is_read_from_hexadecimal() {
-        let read = |text: &str| read(Form::Postcard, text.as_bytes()).expect_err("no message");
+        let read = |text: &str| of_postcard(text.as_bytes()).expect_err("no message");
         assert!(read("01zz").starts_with("not hexadecimal at character 3"));
         assert!(read("012").starts_with("not hexadecimal at character 4"));
         assert!(read("0300000000").starts_with("message format 3"));

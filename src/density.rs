@@ -225,13 +225,7 @@ impl<const W: usize> Aggregator<W> {
         if windows.is_empty() {
             return Err(AggregateError::WindowCount(0));
         }
-        let mut divisions = [Division::default(); MAX_LANES];
-        for lane in lanes {
-            if let Some(division) = divisions.get_mut(usize::from(lane.id.get()) - 1) {
-                *division = Division::of(lane, cell_m);
-            }
-        }
-        let lanes = lanes.clone();
+        let (divisions, lanes) = (Division::of_each(lanes, cell_m), lanes.clone());
         Ok(Self { lanes, divisions, windows, interval, min_completeness, start })
     }
 

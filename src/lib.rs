@@ -1,8 +1,8 @@
 //! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
 //!
 //! The core (`units`, `lane`, `density`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
-//! `picture`, `scene`) is `no_std` and never allocates: time and temperature come in as arguments,
-//! effects go out as returned values. Behind the features of their names, `messages` turns the
+//! `picture`, `scene`, `sensor`) is `no_std` and never allocates: time and temperature come in as
+//! arguments, effects go out as returned values. Behind the features of their names, `messages` turns the
 //! core's values into messages, and `daemon` is the line from camera to broker.
 #![cfg_attr(not(feature = "messages"), no_std)]
 
@@ -20,6 +20,7 @@ pub mod lane;
 pub mod messages;
 pub mod picture;
 pub mod scene;
+pub mod sensor;
 pub mod units;
 pub mod wire;
 

@@ -12,7 +12,7 @@
 //! Version 1 is read, version 2 is written.
 
 use crate::density::{Cells, WindowReport};
-use crate::lane::Name;
+use crate::lane::{Description, Name};
 use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
@@ -36,6 +36,17 @@ pub struct CalibrationRef {
     pub sha256: [u8; 32],
     /// One standard error of a length on the road, as a fraction.
     pub rel_err: Option<f32>,
+}
+
+impl CalibrationRef {
+    /// What a lane table says of its calibration.
+    pub fn of(table: &Description) -> Self {
+        Self {
+            id: table.calibration_id.clone(),
+            sha256: table.calibration_sha256,
+            rel_err: table.length_rel_err,
+        }
+    }
 }
 
 /// What found the vehicles.

@@ -1,4 +1,4 @@
-//! The line does not allocate per frame outside tract and the picture decoder.
+//! The line does not allocate per frame outside the picture decoder.
 
 mod common;
 
@@ -6,11 +6,12 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::time::Duration;
 use verge::daemon::capture::{Recorded, Source, decode};
-use verge::daemon::counting::Counting;
-use verge::daemon::detect::Detector;
-use verge::daemon::detect::regions::{MAX_REGIONS, Parts};
+use verge::daemon::config::Views;
+use verge::daemon::detect::regions::MAX_REGIONS;
 use verge::daemon::frame::{Frame, Picture};
-use verge::daemon::line::LineSettings;
+use verge::daemon::line::{Line, LineSettings};
+use verge::daemon::presets::WindowSettings;
+use verge::sensor::{Now, Outcome, Sensor};
 
 /// The system's allocator, counting what this thread asks of it.
 struct Counted;
@@ -71,40 +72,42 @@ fn capture_allocates_what_the_decoder_does() {
 }
 
 #[test]
-fn detection_around_the_net_counting_and_windows_do_not_allocate() {
-    let settings = LineSettings::recorded(
-        common::STREET_TABLE.as_ref(),
-        common::MODEL.as_ref(),
-        Duration::from_secs(900),
-    );
+fn the_line_and_the_sensor_do_not_allocate() {
     let interval = Duration::from_secs(1);
+    let settings = LineSettings {
+        views: Views::Auto,
+        ..LineSettings::recorded(common::STREET_TABLE.as_ref(), common::MODEL.as_ref())
+    };
     let recorded =
         Recorded::open(common::STREET_FRAMES.as_ref(), Some(interval)).expect("a recording");
     let mut source = Source::Recorded(recorded);
-    let mut counting = Counting::open(&settings, interval).expect("a right table");
-    let mut detector = Detector::load(&settings.model, None).expect("a right model");
-    let input = detector.input_size();
-    let parts = Parts::new(counting.table(), |point| counting.place(point), input);
-    assert_eq!(parts.count(), MAX_REGIONS);
-    let (mut frame, mut found) = (Frame::default(), Vec::with_capacity(64));
+    let mut line = Line::open(&settings).expect("a right model and table");
+    assert_eq!(line.parts().count(), MAX_REGIONS);
+    let windows = WindowSettings::recorded(Duration::from_secs(900));
+    let presets = line.windows(&windows, interval).expect("right windows");
+    let mut sensor = Sensor::new(presets, interval);
+    let (mut frame, mut stages) = (Frame::default(), Vec::with_capacity(64));
     for number in 0..7 {
         source.next(&mut frame).expect("a whole frame");
-        let size = (frame.picture.width, frame.picture.height);
-        let mut prepared = allocations(|| detector.look_at(&parts.of(size)));
-        let mut rest = allocations(|| found.clear());
-        for pass in 0..MAX_REGIONS {
-            prepared += allocations(|| detector.prepare(&frame.picture, pass));
-            let output = detector.infer().expect("inference");
-            rest += allocations(|| {
-                detector.read(&frame.picture, pass, &output, &mut found).expect("an output");
-            });
-        }
-        rest += allocations(|| {
-            counting.count(&found, size, frame.time).expect("the table's camera");
+        let now = Now { time: frame.time, since_start: interval * number, synchronised: true };
+        stages.clear();
+        let mut before = ALLOCATIONS.with(Cell::get);
+        let mut observe = |stage| {
+            let now = ALLOCATIONS.with(Cell::get);
+            stages.push((stage, now - std::mem::replace(&mut before, now)));
+        };
+        let outcome = line.measure(&frame, &mut observe).expect("a frame of the table's camera");
+        assert!(matches!(outcome, Outcome::Measured { .. }), "{outcome:?}");
+        let decided = allocations(|| {
+            sensor.turn(now, frame.time, &outcome, &mut |_| ()).expect("no fault");
+            sensor.tick(now, false, &mut |_| ());
         });
-        assert!(!found.is_empty());
+        assert!(!line.found().is_empty());
+        assert_eq!(stages.len(), 1 + 3 * MAX_REGIONS + 1, "{stages:?}");
+        // The first frames bring the buffers to their size.
         if number >= 2 {
-            assert_eq!((prepared, rest), (0, 0), "frame {number}");
+            let allocated = stages.iter().filter(|(_, count)| *count > 0).collect::<Vec<_>>();
+            assert!(allocated.is_empty() && decided == 0, "frame {number}: {allocated:?}");
         }
     }
 }

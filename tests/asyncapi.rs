@@ -13,8 +13,9 @@ use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::{Format, Identity, MqttSettings, payload};
 use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
 use verge::lane::{LaneTable, Name};
+use verge::sensor::ClosedWindow;
 use verge::units::{Direction, LaneId, UtcMs};
-use verge::wire::ModelRef;
+use verge::wire::{CalibrationRef, ModelRef};
 use verge_messages::Alarm;
 
 const ROOT: &str = "verge/k109f";
@@ -151,17 +152,19 @@ fn what_is_published_stands_in_the_document() {
     let table = fs::read("tests/data/k109f.lut").expect("it ships");
     let table = LaneTable::parse(table).expect("a right table");
     let model = ModelRef { name: Name::try_from("test").expect("short"), sha256: [7; 32] };
-    let identity = Identity::new("k109f", table.description(), &model);
+    let identity = Identity::new("k109f", &model);
+    let calibration = &CalibrationRef::of(table.description());
+    let window = ClosedWindow { report: &report(), calibration };
     let (door, open) = door(port);
     let mut outlet = Outlet::in_memory(MqttSettings::local(door, ROOT), Format::Json, identity);
     // Before there is a session, and in one: replayed and live.
-    outlet.density(&report(), true);
+    outlet.density(window, true);
     open();
     while outlet.counts().waiting > 0 {
         outlet.tend();
         std::thread::sleep(Duration::from_millis(10));
     }
-    outlet.density(&report(), true);
+    outlet.density(window, true);
     let publisher = outlet.publisher();
     let time = verge_messages::Utc(1_767_600_000_000);
     publisher.health(&payload::Health {

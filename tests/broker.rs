@@ -17,8 +17,9 @@ use verge::daemon::publish::{
 };
 use verge::density::{Aggregator, Start, WindowReport};
 use verge::lane::LaneTable;
+use verge::sensor::ClosedWindow;
 use verge::units::{LaneId, UtcMs, VehicleClass};
-use verge::wire::{self, ModelRef};
+use verge::wire::{self, CalibrationRef, ModelRef};
 use verge_messages::{Alarm, Status, Utc};
 
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -30,7 +31,12 @@ fn table() -> LaneTable<Vec<u8>> {
 
 fn identity() -> Identity {
     let name = verge::lane::Name::try_from("test").expect("short");
-    Identity::new("k109f", table().description(), &ModelRef { name, sha256: [7; 32] })
+    Identity::new("k109f", &ModelRef { name, sha256: [7; 32] })
+}
+
+fn accept(outlet: &mut Outlet, report: &WindowReport, clock_synced: bool) {
+    let calibration = &CalibrationRef::of(table().description());
+    outlet.density(ClosedWindow { report, calibration }, clock_synced);
 }
 
 /// A window with vehicles in lane 2, and one in which no picture came.
@@ -116,7 +122,7 @@ fn messages_arrive_in_order_and_match_their_schemas() {
     let mut outlet = outlet(port, Format::Json, MqttVersion::V3);
     tend(&mut outlet, "a session", Outlet::is_open);
     for report in windows() {
-        outlet.density(&report, true);
+        accept(&mut outlet, &report, true);
     }
     outlet.publisher().health(&health());
     outlet.publisher().alarm(&payload::AlarmMessage {
@@ -171,7 +177,7 @@ fn postcard_messages_decode_to_what_was_measured() {
     tend(&mut outlet, "a session", Outlet::is_open);
     let reports = windows();
     for report in &reports {
-        outlet.density(report, false);
+        accept(&mut outlet, report, false);
     }
     for report in &reports {
         let (_, bytes) = subscriber.next(PATIENCE).expect("it arrives");
@@ -201,8 +207,8 @@ fn an_outage_is_replayed_on_its_own_topic() {
         let port = free_port();
         let mut outlet = outlet(port, Format::Json, version);
         let reports = windows();
-        outlet.density(&reports[0], true);
-        outlet.density(&reports[1], true);
+        accept(&mut outlet, &reports[0], true);
+        accept(&mut outlet, &reports[1], true);
         std::thread::sleep(Duration::from_millis(500));
         let mut broker = mosquitto.start(port);
         let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
@@ -211,12 +217,12 @@ fn an_outage_is_replayed_on_its_own_topic() {
         assert_eq!(arrival(&mut subscriber), replay(1, false));
         assert_eq!(arrival(&mut subscriber), replay(2, true));
         // Live again, and once more away: what is taken once is not sent again.
-        outlet.density(&reports[0], true);
+        accept(&mut outlet, &reports[0], true);
         tend(&mut outlet, "an acknowledgement", |outlet| outlet.counts().waiting == 0);
         assert_eq!(arrival(&mut subscriber), ("density/60s".to_owned(), 3, None));
         broker.kill();
         tend(&mut outlet, "the end of the session", |outlet| !outlet.is_open());
-        outlet.density(&reports[1], true);
+        accept(&mut outlet, &reports[1], true);
         let _broker = mosquitto.start(port);
         let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
         tend(&mut outlet, "replay", |outlet| outlet.counts().waiting == 0);
@@ -350,4 +356,36 @@ fn mosquitto_sub_receives_what_the_daemon_publishes() {
         }
     }
     assert!(seen.contains(&"density") && seen.contains(&"shutdown"), "{seen:?}");
+}
+
+#[test]
+fn another_broker_gets_what_the_old_one_did_not() {
+    let ports = [(); 2].map(|()| loopback::start_broker().expect("a broker"));
+    let mut subscribers =
+        ports.map(|port| Subscriber::connect(port, "verge/#").expect("a subscription"));
+    let mut outlet = outlet(ports[0], Format::Json, MqttVersion::V3);
+    tend(&mut outlet, "a session", Outlet::is_open);
+    let reports = windows();
+    accept(&mut outlet, &reports[0], true);
+    tend(&mut outlet, "delivered", |outlet| outlet.counts().waiting == 0);
+    let other = MqttSettings::local(ports[1], "verge/k109f");
+    outlet.change(other, Format::Json, identity(), 1000);
+    // It closes before the new session is open.
+    accept(&mut outlet, &reports[1], true);
+    tend(&mut outlet, "delivered", |outlet| outlet.counts().waiting == 0);
+    outlet.stop();
+    let arrived = subscribers.each_mut().map(|subscriber| {
+        let mut numbers = Vec::new();
+        while let Some((topic, payload)) = subscriber.next(PATIENCE) {
+            if topic.contains("density/") {
+                let message: Value = serde_json::from_slice(&payload).expect("JSON");
+                numbers.push(message["seq"].as_u64().expect("a number"));
+            }
+            if payload == b"shutdown" {
+                break;
+            }
+        }
+        numbers
+    });
+    assert_eq!(arrived, [vec![1], vec![2]]);
 }

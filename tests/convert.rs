@@ -8,8 +8,9 @@ use std::fs;
 use verge::daemon::publish::{Identity, payload};
 use verge::density::{Aggregator, SampleZoneStatus, Start};
 use verge::lane::LaneTable;
+use verge::sensor::ClosedWindow;
 use verge::units::{LaneId, UtcMs, VehicleClass};
-use verge::wire::{self, DensityMessage, ModelRef};
+use verge::wire::{self, CalibrationRef, DensityMessage, ModelRef};
 
 const MINUTE: std::time::Duration = std::time::Duration::from_secs(60);
 
@@ -31,8 +32,10 @@ fn messages() -> Vec<DensityMessage> {
     assert_eq!(closed.len(), 2);
     let name = verge::lane::Name::try_from("test").expect("short");
     let model = ModelRef { name, sha256: [7; 32] };
-    let identity = Identity::new("k109f", table.description(), &model);
-    (1..).zip(&closed).map(|(seq, report)| identity.message(report, true, seq)).collect()
+    let identity = Identity::new("k109f", &model);
+    let calibration = &CalibrationRef::of(table.description());
+    let message = |report, seq| identity.message(ClosedWindow { report, calibration }, true, seq);
+    (1..).zip(&closed).map(|(seq, report)| message(report, seq)).collect()
 }
 
 fn json_lines() -> String {

@@ -11,12 +11,12 @@ use std::time::Duration;
 use street::recording::{Recorder, calibration};
 use street::scene::Scene;
 use street::truth::FrameTruth;
-use verge::daemon::counting::Counting;
 use verge::daemon::frame::{Detection, PixelBox};
-use verge::daemon::line::LineSettings;
 use verge::daemon::locate::Anchor;
-use verge::density::{Closed, WindowReport};
-use verge::units::{UtcMs, VehicleClass};
+use verge::daemon::presets::{Presets, TableSettings, WindowSettings};
+use verge::density::WindowReport;
+use verge::sensor::{Outcome, Preset, Windows};
+use verge::units::{ImagePoint, UtcMs, VehicleClass};
 
 const QUARTER: Duration = Duration::from_secs(900);
 /// 08:00 on the scene's day, the beginning of a window.
@@ -54,6 +54,38 @@ fn detections(truth: &FrameTruth) -> Vec<Detection> {
     truth.vehicles.iter().map(detection).collect()
 }
 
+/// The line behind the detector: tables and windows.
+struct Counting {
+    tables: Presets,
+    windows: Windows<Vec<Preset>>,
+}
+
+impl Counting {
+    fn open(table: &Path, anchor: Anchor, scene: &Scene) -> Self {
+        let settings = TableSettings { anchor, ..TableSettings::of(table) };
+        let tables = Presets::load(&settings).expect("a right table");
+        let interval = Duration::from_secs_f64(scene.interval_s);
+        let windows = tables.windows(&WindowSettings::recorded(QUARTER), interval);
+        Self { tables, windows: Windows::new(windows.expect("right windows")) }
+    }
+
+    fn count(&mut self, detections: &[Detection], scene: &Scene, time: UtcMs) {
+        let size = (scene.camera.width as usize, scene.camera.height as usize);
+        let unmoved = ImagePoint { u: 0.0, v: 0.0 };
+        let counts = self.tables.count(0, detections, size, unmoved).expect("the table's camera");
+        let outcome = Outcome::Measured { preset: 0, counts };
+        self.windows.take(time, &outcome, &mut |window| panic!("too early: {window:?}"));
+    }
+
+    /// The one window.
+    fn finish(mut self) -> WindowReport {
+        let mut reports = Vec::new();
+        self.windows.finish(&mut |window| reports.push(window.report.clone()));
+        assert_eq!(reports.len(), 1);
+        reports.remove(0)
+    }
+}
+
 /// Density per lane, veh/km: the street's own, ours by ground contact points, and ours by
 /// box centres.
 fn quarter_of_an_hour(scene: &Scene, seed: u64) -> Vec<[f64; 3]> {
@@ -61,13 +93,8 @@ fn quarter_of_an_hour(scene: &Scene, seed: u64) -> Vec<[f64; 3]> {
     let mut recorder = Recorder::new(scene, seed).expect("a street");
     let table = write_table(scene, &recorder, folder.path());
     let interval = Duration::from_secs_f64(scene.interval_s);
-    let open = |anchor| {
-        let settings =
-            LineSettings { anchor, ..LineSettings::recorded(&table, Path::new("none"), QUARTER) };
-        Counting::open(&settings, interval).expect("a right table")
-    };
-    let mut lines = [open(Anchor::GroundContact), open(Anchor::BoxCentre)];
-    let size = (scene.camera.width as usize, scene.camera.height as usize);
+    let mut lines =
+        [Anchor::GroundContact, Anchor::BoxCentre].map(|by| Counting::open(&table, by, scene));
     let frames = (QUARTER.as_secs_f64() / scene.interval_s) as u32;
     let mut truth = vec![0.0; scene.lanes.len()];
     for frame in 0..frames {
@@ -76,22 +103,14 @@ fn quarter_of_an_hour(scene: &Scene, seed: u64) -> Vec<[f64; 3]> {
             *sum += lane.density_veh_km / f64::from(frames);
         }
         let time = START.saturating_add(interval * frame);
-        for line in &mut lines {
-            let closed = line.count(&detections(&seen), size, time).expect("the table's camera");
-            assert!(closed.is_empty());
-        }
+        lines.iter_mut().for_each(|line| line.count(&detections(&seen), scene, time));
     }
-    let [contact, centre] = lines.map(|mut line| single(line.windows().finish()));
+    let [contact, centre] = lines.map(Counting::finish);
     let density = |report: &WindowReport, lane: usize| {
         f64::from(report.lanes[lane].density_veh_km.expect("all frames were used"))
     };
     let row = |(lane, truth)| [truth, density(&contact, lane), density(&centre, lane)];
     truth.into_iter().enumerate().map(row).collect()
-}
-
-fn single(closed: Closed) -> WindowReport {
-    assert_eq!(closed.len(), 1);
-    closed[0].clone()
 }
 
 /// A scene as it ships.
@@ -136,10 +155,8 @@ fn cells_of_a_quarter(scene: &Scene, seed: u64) -> Vec<[Vec<f64>; 2]> {
     let folder = common::folder();
     let mut recorder = Recorder::new(scene, seed).expect("a street");
     let table = write_table(scene, &recorder, folder.path());
-    let settings = LineSettings::recorded(&table, Path::new("none"), QUARTER);
     let interval = Duration::from_secs_f64(scene.interval_s);
-    let mut line = Counting::open(&settings, interval).expect("a right table");
-    let size = (scene.camera.width as usize, scene.camera.height as usize);
+    let mut line = Counting::open(&table, Anchor::GroundContact, scene);
     let frames = (QUARTER.as_secs_f64() / scene.interval_s) as u32;
     let lanes: Vec<(f64, bool)> = recorder
         .street()
@@ -162,9 +179,9 @@ fn cells_of_a_quarter(scene: &Scene, seed: u64) -> Vec<[Vec<f64>; 2]> {
             }
         }
         let time = START.saturating_add(interval * frame);
-        line.count(&detections(&seen), size, time).expect("the table's camera");
+        line.count(&detections(&seen), scene, time);
     }
-    let report = single(line.windows().finish());
+    let report = line.finish();
     let ours = report.lanes.iter().map(|lane| {
         let cells = lane.cells.as_ref().expect("measured");
         let densities = cells.density_veh_km.as_ref().expect("all frames were used");

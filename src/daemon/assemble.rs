@@ -13,10 +13,12 @@ use super::frame::Frame;
 use super::line::{Line, LineSettings};
 use super::locate::Anchor;
 use super::outlet::Outlet;
-use super::publish::{MqttSettings, Tls};
+use super::presets::{TableSettings, WindowSettings};
+use super::publish::{Identity, MqttSettings, Tls};
 use super::spool::Spool;
 use super::station::Station;
 use crate::density::Start;
+use crate::sensor::{Preset, Sensor, Windows};
 use std::path::Path;
 use std::time::Duration;
 
@@ -24,10 +26,14 @@ use std::time::Duration;
 pub struct Assembly {
     /// What measures.
     pub line: Line,
+    /// The windows over its lanes.
+    pub presets: Vec<Preset>,
     /// Which camera is asked.
     pub camera: SourceSettings,
     /// Who gets the windows.
     pub broker: MqttSettings,
+    /// From whom they are.
+    pub identity: Identity,
 }
 
 impl Assembly {
@@ -38,33 +44,37 @@ impl Assembly {
     /// [`Failure`] names what cannot be used.
     pub fn of(config: &Config) -> Result<Self, Failure> {
         let line = open_line(config)?;
+        let presets = line.windows(&windows(config), config.interval())?;
         let camera = camera(config, Some(&line))?;
         Source::open(camera.clone())?;
-        Ok(Self { line, camera, broker: broker(config)? })
+        let identity = Identity::new(&config.site, line.model());
+        Ok(Self { line, presets, camera, broker: broker(config)?, identity })
     }
 
     /// Puts it to work.
     ///
     /// # Errors
     /// [`Failure`] where the camera or the spool cannot be opened.
-    pub fn open(self, config: &Config) -> Result<(Station, Outlet), Failure> {
-        let Self { line, camera, broker } = self;
+    pub fn open(self, config: &Config) -> Result<(Station, Sensor<Vec<Preset>>, Outlet), Failure> {
+        let Self { line, presets, camera, broker, identity } = self;
         let spool = Spool::open(config.spool_folder(), config.spool_windows())?;
-        let identity = line.identity(&config.site);
         let station = Station::open(camera, line)?;
-        Ok((station, Outlet::start(broker, config.mqtt.format, identity, spool)))
+        let outlet = Outlet::start(broker, config.mqtt.format, identity, spool);
+        Ok((station, Sensor::new(presets, config.interval()), outlet))
     }
 }
 
 /// A line with a recording in front, for `replay` and `demo`.
 pub fn open_recording(
     settings: &LineSettings,
+    windows: &WindowSettings,
     frames: &Path,
     interval: Option<Duration>,
-) -> Result<(Recorded, Line), Failure> {
+) -> Result<(Recorded, Line, Windows<Vec<Preset>>), Failure> {
     let recorded = Recorded::open(frames, interval)?;
-    let line = Line::open(settings, recorded.interval())?;
-    Ok((recorded, line))
+    let line = Line::open(settings)?;
+    let presets = line.windows(windows, recorded.interval())?;
+    Ok((recorded, line, Windows::new(presets)))
 }
 
 /// A detector with a recording in front, for `detect`.
@@ -77,10 +87,14 @@ pub fn open_detector(
 }
 
 /// A recording that is played for ever in front of a line, for `bench`.
-pub fn open_endless(settings: &LineSettings, frames: &Path) -> Result<Station, Failure> {
-    let (recorded, line) = open_recording(settings, frames, None)?;
+pub fn open_endless(
+    settings: &LineSettings,
+    windows: &WindowSettings,
+    frames: &Path,
+) -> Result<(Station, Windows<Vec<Preset>>), Failure> {
+    let (recorded, line, windows) = open_recording(settings, windows, frames, None)?;
     let source = Source::Recorded(recorded.for_ever());
-    Ok(Station::with(source, Frame::default(), line))
+    Ok((Station::with(source, Frame::default(), line), windows))
 }
 
 /// A configuration's camera and its first picture, in the shape of the line's table.
@@ -100,7 +114,7 @@ pub fn camera(config: &Config, line: Option<&Line>) -> Result<SourceSettings, Fa
     Ok(match config.camera.kind() {
         SourceKind::Folder => SourceSettings::Recorded { folder: source.into(), interval },
         SourceKind::Device => {
-            let size = line.map(|line| line.counting().table().image_size);
+            let size = line.map(|line| line.preset().table().image_size);
             let size =
                 size.map_or(DEFAULT_SIZE, |size| (u32::from(size.width), u32::from(size.height)));
             SourceSettings::Device(DeviceSettings { path: source.into(), size, interval, timeout })
@@ -119,22 +133,30 @@ pub fn camera(config: &Config, line: Option<&Line>) -> Result<SourceSettings, Fa
 
 /// The line of a configuration.
 pub fn open_line(config: &Config) -> Result<Line, Failure> {
+    let tables = &config.lane_table;
     let settings = LineSettings {
-        table: config.lane_table.file.clone(),
-        presets: config.lane_table.presets.clone(),
-        watch: config.camera.watch,
-        camera: Some(config.camera.id.clone()),
+        tables: TableSettings {
+            files: std::iter::once(&tables.file).chain(&tables.presets).cloned().collect(),
+            camera: Some(config.camera.id.clone()),
+            anchor: Anchor::default(),
+        },
+        judging: config.camera.watch.into(),
         model: config.model.file.clone(),
         score: config.model.score,
         views: config.model.views,
-        anchor: Anchor::default(),
-        windows: config.windows.lengths_s.iter().copied().map(Duration::from_secs).collect(),
-        min_completeness: config.windows.min_completeness,
-        start: Start::AtNextWindow,
     };
-    let mut line = Line::open(&settings, config.interval())?;
+    let mut line = Line::open(&settings)?;
     line.keep_within(config.interval())?;
     Ok(line)
+}
+
+/// The windows of a configuration: none that was begun in its middle.
+fn windows(config: &Config) -> WindowSettings {
+    WindowSettings {
+        lengths: config.window_lengths(),
+        min_completeness: config.windows.min_completeness,
+        start: Start::AtNextWindow,
+    }
 }
 
 /// The broker of a configuration.

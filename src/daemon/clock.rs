@@ -1,28 +1,19 @@
 //! The box's clock: what time it is, and whether a time source has set it.
 //!
 //! Owns the only readings of the wall clock, of the time since the box's start that goes on
-//! evenly whatever the wall clock does, and of the thread's processor time. Tests set them by
-//! hand.
+//! evenly whatever the wall clock does, and of the thread's processor time.
 
 use crate::units::UtcMs;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The time now.
 pub fn now() -> UtcMs {
-    #[cfg(test)]
-    if let Some(hands) = hand::get() {
-        return hands.now;
-    }
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     UtcMs::default().saturating_add(since_1970)
 }
 
 /// Whether the kernel holds the clock to be synchronised (by NTP, PTP or GNSS).
 pub fn is_synchronised() -> bool {
-    #[cfg(test)]
-    if let Some(hands) = hand::get() {
-        return hands.synchronised;
-    }
     // SAFETY: all-zero bytes are a valid `timex`; with `modes` 0 the kernel only reads.
     let mut state: libc::timex = unsafe { core::mem::zeroed() };
     // SAFETY: `state` is a live, exclusive `timex`.
@@ -37,10 +28,6 @@ pub fn processor_time() -> Duration {
 
 /// Time since the box's start, which nobody sets.
 pub fn monotonic() -> Duration {
-    #[cfg(test)]
-    if let Some(hands) = hand::get() {
-        return hands.monotonic;
-    }
     read(libc::CLOCK_MONOTONIC)
 }
 
@@ -75,60 +62,18 @@ pub struct Step {
 const LEAST_STEP: Duration = Duration::from_secs(2);
 
 impl Watch {
-    /// Begins to watch.
-    pub fn start() -> Self {
-        Self { monotonic: monotonic(), wall: now() }
+    /// Begins to watch clocks that show this.
+    pub const fn new(wall: UtcMs, monotonic: Duration) -> Self {
+        Self { wall, monotonic }
     }
 
-    /// Whether the clock was set since the last question.
-    pub fn step(&mut self) -> Option<Step> {
-        let before = std::mem::replace(self, Self::start());
-        let passed = self.monotonic.saturating_sub(before.monotonic);
-        let (from, to) = (before.wall.saturating_add(passed), self.wall);
+    /// Whether the wall clock was set since the last question; they show this now.
+    pub fn step(&mut self, wall: UtcMs, monotonic: Duration) -> Option<Step> {
+        let before = std::mem::replace(self, Self { wall, monotonic });
+        let passed = monotonic.saturating_sub(before.monotonic);
+        let (from, to) = (before.wall.saturating_add(passed), wall);
         let by = to.saturating_since(from).max(from.saturating_since(to));
         (by >= LEAST_STEP).then_some(Step { from, to })
-    }
-}
-
-/// The clocks of a test, set by hand. Each thread has its own, so that tests run side by side.
-#[cfg(test)]
-pub mod hand {
-    use super::{Duration, UtcMs};
-    use std::cell::Cell;
-
-    /// What the clocks show.
-    #[derive(Clone, Copy, Debug)]
-    pub struct Hands {
-        /// The wall clock.
-        pub now: UtcMs,
-        /// Time since start.
-        pub monotonic: Duration,
-        /// Whether the wall clock is held to be right.
-        pub synchronised: bool,
-    }
-
-    thread_local!(static HANDS: Cell<Option<Hands>> = const { Cell::new(None) });
-
-    pub(super) fn get() -> Option<Hands> {
-        HANDS.get()
-    }
-
-    /// Stops this thread's clocks at that time.
-    pub fn stop(now: UtcMs) {
-        HANDS.set(Some(Hands { now, monotonic: Duration::from_secs(1000), synchronised: true }));
-    }
-
-    /// Lets time pass.
-    pub fn pass(time: Duration) {
-        let hands = get().expect("the clocks were stopped");
-        let (now, monotonic) = (hands.now.saturating_add(time), hands.monotonic + time);
-        HANDS.set(Some(Hands { now, monotonic, ..hands }));
-    }
-
-    /// Sets the wall clock forwards, or backwards, and says whether it is right then.
-    pub fn set(by_ms: i64, synchronised: bool) {
-        let hands = get().expect("the clocks were stopped");
-        HANDS.set(Some(Hands { now: UtcMs(hands.now.0 + by_ms), synchronised, ..hands }));
     }
 }
 
@@ -143,15 +88,10 @@ mod tests {
 
     #[test]
     fn a_step_is_noticed_once_and_a_slew_is_none() {
-        hand::stop(UtcMs(1_000_000));
-        let mut watch = Watch::start();
-        hand::pass(Duration::from_secs(3600));
-        hand::set(1_500, true);
-        assert_eq!(watch.step(), None);
-        hand::pass(Duration::from_secs(10));
-        hand::set(-60_000, true);
-        let step = watch.step().expect("a minute back");
-        assert_eq!(step, Step { from: UtcMs(4_611_500), to: UtcMs(4_551_500) });
-        assert_eq!(watch.step(), None);
+        let mut watch = Watch::new(UtcMs(1_000_000), Duration::from_secs(1000));
+        assert_eq!(watch.step(UtcMs(4_601_500), Duration::from_secs(4600)), None, "1.5 s off");
+        let step = watch.step(UtcMs(4_551_500), Duration::from_secs(4610));
+        assert_eq!(step, Some(Step { from: UtcMs(4_611_500), to: UtcMs(4_551_500) }));
+        assert_eq!(watch.step(UtcMs(4_551_500), Duration::from_secs(4610)), None);
     }
 }

@@ -1,107 +1,96 @@
-//! The line without its ends: from a frame to density.
+//! The line without its ends: from a frame to the vehicles in each lane.
 //!
-//! Owns the order of look, detect, locate and aggregate, and names these stages so that they
-//! need not know each other. Pictures come from `station`, windows go to [`super::outlet`].
+//! Owns the order of look, detect and locate, and names these stages so that they need not know
+//! each other. Pictures come from `station`; what follows from what was counted is decided by
+//! the core's [`crate::sensor`].
 
 use super::clock;
 use super::config::Views;
-use super::counting::{Counting, Presets};
 use super::detect::Detector;
 use super::detect::regions::Parts;
 use super::exit::Failure;
 use super::frame::{Detection, Frame};
-use super::locate::Anchor;
-use super::publish::Identity;
+use super::presets::{Preset, Presets, TableSettings, WindowSettings};
 use super::scene::{Scene, View};
-use crate::density::{Closed, SampleZoneStatus, Start};
-use crate::health::Event;
-use crate::lane::Description;
-use crate::units::UtcMs;
+use crate::sensor::{self, Outcome};
+use crate::wire::ModelRef;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Share of the time between two pictures that the net may take of the processor: the rest is
 /// for the camera, the picture, and what else runs on the box.
 const NET_SHARE: f64 = 0.5;
 
+/// Whether pictures are judged before they are measured: blank, blurred, unchanged, and whether
+/// the camera has moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Judging {
+    /// They are, and what is not fit is withheld.
+    Heeded,
+    /// They are, and measured all the same: to time the line.
+    Ignored,
+    /// They are not.
+    Off,
+}
+
+impl From<bool> for Judging {
+    fn from(is_on: bool) -> Self {
+        if is_on { Self::Heeded } else { Self::Off }
+    }
+}
+
 /// What a line is built from.
 #[derive(Clone, Debug)]
 pub struct LineSettings {
-    /// The lane table.
-    pub table: PathBuf,
-    /// The tables of the camera's other presets.
-    pub presets: Vec<PathBuf>,
-    /// Whether pictures are judged before they are measured: blank, blurred, unchanged, and
-    /// whether the camera has moved.
-    pub watch: bool,
-    /// The camera that it must belong to; `None`: whichever it belongs to.
-    pub camera: Option<String>,
+    /// The camera's lane tables.
+    pub tables: TableSettings,
+    /// Whether pictures are judged.
+    pub judging: Judging,
     /// Sidecar or model.
     pub model: PathBuf,
     /// Overrides the model's least score.
     pub score: Option<f32>,
     /// Which parts of a picture are searched.
     pub views: Views,
-    /// Which point of a box stands for the vehicle.
-    pub anchor: Anchor,
-    /// Window lengths.
-    pub windows: Vec<Duration>,
-    /// Share of its frames that a window needs.
-    pub min_completeness: f32,
-    /// What happens to a window that was begun in its middle.
-    pub start: Start,
 }
 
 impl LineSettings {
-    /// For a recording: every frame counts, whichever camera it is of.
-    pub fn recorded(table: &Path, model: &Path, window: Duration) -> Self {
+    /// For a recording, of whichever camera.
+    pub fn recorded(table: &Path, model: &Path) -> Self {
         Self {
-            table: table.to_owned(),
-            presets: Vec::new(),
-            watch: true,
-            camera: None,
+            tables: TableSettings::of(table),
+            judging: Judging::Heeded,
             model: model.to_owned(),
             score: None,
             views: Views::default(),
-            anchor: Anchor::default(),
-            windows: vec![window],
-            min_completeness: 0.0,
-            start: Start::WithFirstFrame,
         }
     }
 }
 
-/// What the stages took for one frame.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct StageTimes {
-    /// Reading and decoding the picture.
-    pub capture: Duration,
+/// A stage of the line, or a step of one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
     /// Judging the picture and finding the scene in it.
-    pub scene: Duration,
+    Scene,
     /// The picture into the net's input.
-    pub prepare: Duration,
+    Prepare,
     /// The net.
-    pub infer: Duration,
+    Infer,
     /// The net's output into boxes.
-    pub read: Duration,
-    /// Boxes into lanes and windows.
-    pub count: Duration,
+    Read,
+    /// Boxes into lanes.
+    Count,
 }
 
-/// What became of a frame.
-#[derive(Clone, Debug)]
-pub struct Measured {
-    /// What it was: measured, unchanged, or not fit to be measured.
-    pub event: Event,
-    /// The windows that it closes.
-    pub closed: Closed,
-}
+/// Is told of each stage when it has ended; the first began with the call.
+pub type Observer<'o> = &'o mut dyn FnMut(Stage);
 
-/// The line without its ends: from a frame to density.
+/// The line without its ends: from a frame to the vehicles in each lane.
 #[derive(Debug)]
 pub struct Line {
     detector: Detector,
     scene: Option<Scene>,
+    judging: Judging,
     presets: Presets,
     /// Where each preset's pictures are searched.
     parts: Vec<Parts>,
@@ -113,18 +102,31 @@ impl Line {
     ///
     /// # Errors
     /// [`Failure`] names the file that is missing or wrong.
-    pub fn open(settings: &LineSettings, interval: Duration) -> Result<Self, Failure> {
-        let presets = Presets::open(settings, interval)?;
+    pub fn open(settings: &LineSettings) -> Result<Self, Failure> {
+        let presets = Presets::load(&settings.tables)?;
         let references = presets.references()?;
-        let scene = settings.watch.then(|| Scene::new(references));
+        let judging = settings.judging;
+        let scene = (judging != Judging::Off).then(|| Scene::new(references));
         let detector = Detector::load(&settings.model, settings.score)?;
         let input = detector.input_size();
-        let parts = |preset: &Counting| match settings.views {
+        let parts = |preset: &Preset| match settings.views {
             Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),
             Views::Whole => Parts::WHOLE,
         };
         let parts = presets.iter().map(parts).collect();
-        Ok(Self { detector, scene, presets, parts, found: Vec::new() })
+        Ok(Self { detector, scene, judging, presets, parts, found: Vec::new() })
+    }
+
+    /// Windows over the lanes of its tables, for a camera with this time between frames.
+    ///
+    /// # Errors
+    /// [`Failure::Aggregate`] where they cannot be kept or never filled.
+    pub fn windows(
+        &self,
+        settings: &WindowSettings,
+        interval: Duration,
+    ) -> Result<Vec<sensor::Preset>, Failure> {
+        self.presets.windows(settings, interval)
     }
 
     /// Searches each picture once, and not its far part again, where the net is too slow for
@@ -156,101 +158,39 @@ impl Line {
     ///
     /// # Errors
     /// [`Failure::Detect`] and [`Failure::Locate`]; the frame then counts as missed.
-    pub fn measure(&mut self, frame: &Frame) -> Result<Measured, Failure> {
+    pub fn measure(
+        &mut self,
+        frame: &Frame,
+        observe: Observer<'_>,
+    ) -> Result<Outcome<'_>, Failure> {
+        let (picture, size) = (&frame.picture, (frame.picture.width, frame.picture.height));
         self.found.clear();
-        let (preset, shift) = match self.look(frame)? {
-            View::Fit { preset, shift } => (preset, shift),
-            View::Unchanged => {
-                let closed = self.miss(frame.time, SampleZoneStatus::InputDataIntegrity);
-                return Ok(Measured { event: Event::Unchanged, closed });
-            }
-            View::PassedOver => {
-                let closed = self.miss(frame.time, SampleZoneStatus::DetectionAutoSuspended);
-                return Ok(Measured { event: Event::PassedOver, closed });
-            }
-            View::Withheld(alarm) => {
-                let closed = self.miss(frame.time, alarm.status());
-                return Ok(Measured { event: Event::Withheld(alarm), closed });
-            }
-        };
-        let size = (frame.picture.width, frame.picture.height);
-        self.detector.look_at(&self.parts[preset].of(size));
-        self.detector.detect(&frame.picture, &mut self.found)?;
-        let closed = self.presets.count(preset, &self.found, size, shift, frame.time)?;
-        Ok(Measured { event: Event::Measured, closed })
-    }
-
-    /// Judges a frame. A wrong picture is refused before it costs anything.
-    fn look(&mut self, frame: &Frame) -> Result<View, Failure> {
-        self.presets.check_size((frame.picture.width, frame.picture.height))?;
-        Ok(match &mut self.scene {
-            Some(scene) => scene.judge(&frame.picture, frame.time),
+        // A wrong picture is refused before it costs anything.
+        self.presets.check_size(size)?;
+        let view = match &mut self.scene {
+            Some(scene) => scene.judge(picture, frame.time),
             None => View::UNJUDGED,
-        })
-    }
-
-    /// Measures one frame and tells what each stage took. A frame that would be withheld is
-    /// measured all the same.
-    ///
-    /// # Errors
-    /// As [`Self::measure`].
-    pub fn measure_timed(&mut self, frame: &Frame) -> Result<StageTimes, Failure> {
-        let picture = &frame.picture;
-        let size = (picture.width, picture.height);
-        let mut clock = Instant::now();
-        let mut lap = || {
-            let now = Instant::now();
-            now - std::mem::replace(&mut clock, now)
         };
-        let (preset, shift) = match self.look(frame)? {
+        observe(Stage::Scene);
+        let (preset, shift) = match view {
             View::Fit { preset, shift } => (preset, shift),
-            _ => View::NOWHERE,
+            _ if self.judging == Judging::Ignored => View::NOWHERE,
+            View::Unchanged => return Ok(Outcome::Unchanged),
+            View::PassedOver => return Ok(Outcome::PassedOver),
+            View::Withheld(alarm) => return Ok(Outcome::Withheld(alarm)),
         };
-        let scene = lap();
         self.detector.look_at(&self.parts[preset].of(size));
-        self.found.clear();
-        let mut times = StageTimes { scene, ..StageTimes::default() };
         for pass in 0..self.detector.passes() {
             self.detector.prepare(picture, pass);
-            times.prepare += lap();
+            observe(Stage::Prepare);
             let output = self.detector.infer()?;
-            times.infer += lap();
+            observe(Stage::Infer);
             self.detector.read(picture, pass, &output, &mut self.found)?;
-            times.read += lap();
+            observe(Stage::Read);
         }
-        self.presets.count(preset, &self.found, size, shift, frame.time)?;
-        Ok(StageTimes { count: lap(), ..times })
-    }
-
-    /// Notes that at `time` there was no usable frame, and why.
-    pub fn miss(&mut self, time: UtcMs, status: SampleZoneStatus) -> Closed {
-        self.presets.miss(time, status)
-    }
-
-    /// From now on pictures come in this interval.
-    pub fn set_interval(&mut self, interval: Duration) {
-        self.presets.set_interval(interval);
-    }
-
-    /// Closes the windows that have ended at `time`.
-    pub fn advance(&mut self, time: UtcMs) -> Closed {
-        self.presets.advance(time)
-    }
-
-    /// Notes that the clock was set, and closes the windows that it leaps over the end of. To
-    /// be called after [`Self::advance`] to `from`.
-    pub fn set_clock(&mut self, from: UtcMs, to: UtcMs) -> Closed {
-        self.presets.set_clock(from, to)
-    }
-
-    /// Closes what runs, at the end of a recording.
-    pub fn finish(&mut self) -> Closed {
-        self.presets.finish()
-    }
-
-    /// The table to which the windows belong that the latest call closed.
-    pub fn reported(&self) -> &Description {
-        self.presets.reported()
+        let counts = self.presets.count(preset, &self.found, size, shift)?;
+        observe(Stage::Count);
+        Ok(Outcome::Measured { preset, counts })
     }
 
     /// What judges the pictures, unless that is switched off.
@@ -275,7 +215,7 @@ impl Line {
 
     /// Model and table in a few words.
     pub fn describe(&self) -> (String, String) {
-        let (model, table) = (self.detector.sidecar(), self.counting().table());
+        let (model, table) = (self.detector.sidecar(), self.preset().table());
         let (id, lanes) = (&table.camera_id, table.lanes.len());
         let error = table
             .length_rel_err
@@ -292,13 +232,13 @@ impl Line {
         )
     }
 
-    /// The part behind detection, at the preset where the camera looks.
-    pub fn counting(&self) -> &Counting {
+    /// The lane table of the preset at which the camera looks.
+    pub fn preset(&self) -> &Preset {
         self.presets.active()
     }
 
-    /// Who measures, for messages from `site`.
-    pub fn identity(&self, site: &str) -> Identity {
-        Identity::new(site, self.counting().table(), self.detector.model())
+    /// What finds the vehicles, for messages.
+    pub fn model(&self) -> &ModelRef {
+        self.detector.model()
     }
 }

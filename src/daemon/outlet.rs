@@ -4,8 +4,7 @@
 
 use super::publish::{Delivery, Format, Identity, MqttSettings, Publisher};
 use super::spool::{Spool, SpoolCounts};
-use crate::density::WindowReport;
-use crate::lane::Description;
+use crate::sensor::ClosedWindow;
 
 /// The end of the line: windows into the spool, and from there to the broker.
 ///
@@ -29,17 +28,12 @@ impl Outlet {
         Self::start(broker, format, identity, Spool::in_memory())
     }
 
-    /// The windows that follow were measured with this table.
-    pub fn measured_with(&mut self, table: &Description) {
-        self.identity.measured_with(table);
-    }
-
     /// Takes a window. It outlives the program from here on, unless the disk refuses it.
-    pub fn density(&mut self, report: &WindowReport, clock_synced: bool) {
-        let identity = &self.identity;
+    pub fn density(&mut self, window: ClosedWindow<'_>, clock_synced: bool) {
+        let (identity, report) = (&self.identity, window.report);
         let length_s = report.to.saturating_since(report.from).as_secs();
         let length_s = u32::try_from(length_s).unwrap_or(u32::MAX);
-        let number = |seq| identity.message(report, clock_synced, seq);
+        let number = |seq| identity.message(window, clock_synced, seq);
         let (key, message) = self.spool.accept(length_s, number);
         self.hear();
         if self.publisher.live(key, &message) {

@@ -1,22 +1,17 @@
-//! A new configuration beside the running one: loaded, checked, and kept until it takes over.
+//! A new configuration beside the running one: loaded and checked.
 //!
-//! Owns when files are read again, what cannot change while the daemon runs, and the instant
-//! of the change. Everything is loaded in a thread of its own while the line goes on
-//! measuring, and nothing of the running line is touched before all of it is right.
-//!
-//! The change comes at the next instant at which all windows end together, by the clock:
-//! every window is whole, measured by the old configuration or by the new one. Where each
-//! length divides the longest, that is the end of the longest running window.
+//! Owns when files are read again, and what cannot change while the daemon runs. Everything is
+//! loaded in a thread of its own while the line goes on measuring, and nothing of the running
+//! line is touched before all of it is right. When it takes over is decided by
+//! [`crate::sensor`].
 
 use super::assemble::Assembly;
 use super::config::{Config, ConfigError};
 use super::exit::Failure;
-use crate::units::UtcMs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
-use std::time::Duration;
 
 /// All that a configuration asks for, loaded and checked.
 pub struct Candidate {
@@ -118,58 +113,6 @@ impl Reload {
             Err(error) => Outcome::Refused(Failure::Internal(format!("no thread: {error}"))),
         }
     }
-}
-
-/// A candidate that waits for the running windows to end.
-pub struct Pending {
-    candidate: Box<Candidate>,
-    /// All running windows end at its multiples.
-    period: Duration,
-    at: UtcMs,
-}
-
-impl Pending {
-    /// Takes over from `running` at the next end of all its windows.
-    pub fn new(candidate: Box<Candidate>, running: &Config, now: UtcMs) -> Self {
-        let period = common_period(&running.windows.lengths_s);
-        Self { candidate, period, at: now.floor_to(period).saturating_add(period) }
-    }
-
-    /// When it takes over.
-    pub fn at(&self) -> UtcMs {
-        self.at
-    }
-
-    /// Whether it takes over at `time`.
-    pub fn is_due(&mut self, time: UtcMs) -> bool {
-        let latest = time.floor_to(self.period).saturating_add(self.period);
-        if self.at > latest {
-            // The clock was set back.
-            self.at = latest;
-        }
-        if time < self.at {
-            return false;
-        }
-        // It may have been set forward, too.
-        self.at = self.at.max(time.floor_to(self.period));
-        true
-    }
-
-    /// The candidate, and the instant from which on its windows run.
-    pub fn begin(self) -> (Box<Candidate>, UtcMs) {
-        (self.candidate, self.at)
-    }
-}
-
-/// The least common multiple of the windows' lengths. Each divides a day, and so does it.
-fn common_period(lengths_s: &[u64]) -> Duration {
-    let gcd = |mut a: u64, mut b: u64| {
-        while b != 0 {
-            (a, b) = (b, a % b);
-        }
-        a
-    };
-    Duration::from_secs(lengths_s.iter().fold(1, |lcm, &s| lcm / gcd(lcm, s).max(1) * s.max(1)))
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@
 use super::capture::{Captured, Source, SourceSettings, StreamCounts};
 use super::exit::Failure;
 use super::frame::Frame;
-use super::line::{Line, Measured, StageTimes};
-use std::time::Instant;
+use super::line::{Line, Observer};
+use crate::sensor::Outcome;
 
 /// A camera with the line behind it.
 #[derive(Debug)]
@@ -46,8 +46,8 @@ impl Station {
     ///
     /// # Errors
     /// As [`Line::measure`].
-    pub fn measure(&mut self) -> Result<Measured, Failure> {
-        self.line.measure(&self.frame)
+    pub fn measure(&mut self, observe: Observer<'_>) -> Result<Outcome<'_>, Failure> {
+        self.line.measure(&self.frame, observe)
     }
 
     /// Replaces the line, and the camera where it is another one.
@@ -61,17 +61,6 @@ impl Station {
         }
         self.line = line;
         Ok(())
-    }
-
-    /// Takes and measures a picture, timed; for a recording that is played for ever.
-    ///
-    /// # Errors
-    /// As [`Self::capture`] and [`Self::measure`].
-    pub fn turn_timed(&mut self) -> Result<StageTimes, Failure> {
-        let begun = Instant::now();
-        self.source.next(&mut self.frame)?;
-        let capture = begun.elapsed();
-        Ok(StageTimes { capture, ..self.line.measure_timed(&self.frame)? })
     }
 
     /// Whether pictures come from this camera.
@@ -92,10 +81,5 @@ impl Station {
     /// What measures its pictures.
     pub fn line(&self) -> &Line {
         &self.line
-    }
-
-    /// The same, to be told of time without pictures.
-    pub fn line_mut(&mut self) -> &mut Line {
-        &mut self.line
     }
 }

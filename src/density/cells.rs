@@ -5,6 +5,7 @@
 //! more, and what it covers of the next cell is not counted there.
 
 use crate::lane::Lane;
+use crate::units::MAX_LANES;
 use serde::{Deserialize, Serialize};
 
 /// Most cells of a lane: 320 m at 10 m, beyond which a camera tells no vehicles apart. A
@@ -24,6 +25,17 @@ impl Division {
         // `as` saturates, and a length that is not a number gives one cell.
         let count = ((lane.length_m / about_m + 0.5) as usize).clamp(1, MAX_LANE_CELLS);
         Self { count: count as u8, cell_m: lane.length_m / count as f32 }
+    }
+
+    /// Divides lanes, each at the place of its number.
+    pub(super) fn of_each(lanes: &[Lane], cell_m: f32) -> [Self; MAX_LANES] {
+        let mut divisions = [Self::default(); MAX_LANES];
+        for lane in lanes {
+            if let Some(division) = divisions.get_mut(usize::from(lane.id.get()) - 1) {
+                *division = Self::of(lane, cell_m);
+            }
+        }
+        divisions
     }
 
     /// Number of cells.

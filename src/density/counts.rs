@@ -1,6 +1,7 @@
 //! Counts of one frame, and their sums over the frames of a window.
 
 use super::cells::{Cells, Division, MAX_LANE_CELLS};
+use crate::lane::Lane;
 use crate::units::{LaneId, MAX_LANES, VehicleClass};
 
 /// What one frame shows in one lane.
@@ -21,6 +22,11 @@ pub struct FrameCounts {
 }
 
 impl FrameCounts {
+    /// No vehicle yet, in these lanes, in cells of about `cell_m`.
+    pub fn new(lanes: &[Lane], cell_m: f32) -> Self {
+        Self { divisions: Division::of_each(lanes, cell_m), lanes: Default::default() }
+    }
+
     /// No vehicle yet, in lanes that are divided like this.
     pub(super) fn of(divisions: [Division; MAX_LANES]) -> Self {
         Self { divisions, lanes: Default::default() }

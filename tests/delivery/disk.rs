@@ -1,7 +1,7 @@
 //! The spool on disks of its own, in a mount namespace: one that is full, and one whose every
 //! written sector is counted.
 
-use super::{Arrived, CHILD, PATIENCE, collect, common, is_long, outlet, tend, window};
+use super::{Arrived, CHILD, PATIENCE, collect, common, is_long, outlet, tend};
 use common::mosquitto::{Mosquitto, free_port};
 use std::fs::{self, File};
 use std::io::Write;
@@ -68,7 +68,7 @@ fn child_full() {
     let mut accept = |outlet: &mut verge::daemon::outlet::Outlet, windows| {
         for _ in 0..windows {
             sent += 1;
-            outlet.density(&window(sent), true);
+            super::accept(outlet, sent);
         }
         sent
     };
@@ -149,12 +149,12 @@ fn child_counted() {
     let mut outlet = outlet(port, &disk.join("spool"), 1000.0);
     tend(&mut outlet, "a session", |outlet| outlet.is_open());
     // The first makes the segment.
-    outlet.density(&window(1), true);
+    super::accept(&mut outlet, 1);
     tend(&mut outlet, "delivery", |outlet| outlet.counts().waiting == 0);
     let (before, counts) = (written(&disk), outlet.counts());
     let windows = 1000;
     for n in 0..windows {
-        outlet.density(&window(n + 2), true);
+        super::accept(&mut outlet, n + 2);
         tend(&mut outlet, "delivery", |outlet| outlet.counts().waiting == 0);
         written(&disk);
     }

@@ -24,9 +24,10 @@ use verge::daemon::publish::loopback::Subscriber;
 use verge::daemon::publish::{Format, Identity, MqttSettings};
 use verge::daemon::spool::Spool;
 use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
-use verge::lane::{LaneTable, Name};
+use verge::lane::Name;
+use verge::sensor::ClosedWindow;
 use verge::units::{Direction, LaneId, UtcMs, VehicleClass};
-use verge::wire::ModelRef;
+use verge::wire::{CalibrationRef, ModelRef};
 
 const PATIENCE: Duration = Duration::from_secs(30);
 const ROOT: &str = "verge/delivery";
@@ -65,13 +66,22 @@ fn window(n: i64) -> WindowReport {
 }
 
 fn outlet(port: u16, folder: &Path, replay_per_s: f64) -> Outlet {
-    let table = std::fs::read(common::K109F_TABLE).expect("it ships");
-    let table = LaneTable::parse(table).expect("a right table");
-    let model = ModelRef { name: Name::try_from("test").expect("short"), sha256: [7; 32] };
-    let identity = Identity::new("delivery", table.description(), &model);
+    let model = ModelRef { name: name("test"), sha256: [7; 32] };
+    let identity = Identity::new("delivery", &model);
     let settings = MqttSettings { replay_per_s, ..MqttSettings::local(port, ROOT) };
     let spool = Spool::open(folder, 7 * 1440).expect("the earlier one is dead");
     Outlet::start(settings, Format::Json, identity, spool)
+}
+
+fn name(text: &str) -> Name {
+    Name::try_from(text).expect("short")
+}
+
+/// Gives the outlet window `n`.
+fn accept(outlet: &mut Outlet, n: i64) {
+    let calibration =
+        &CalibrationRef { id: name("joint-01020304"), sha256: [8; 32], rel_err: Some(0.02) };
+    outlet.density(ClosedWindow { report: &window(n), calibration }, true);
 }
 
 /// Tends the outlet until `done`.
@@ -98,7 +108,7 @@ fn child() {
     });
     let mut stdout = std::io::stdout();
     while ended.try_recv() == Err(mpsc::TryRecvError::Empty) {
-        outlet.density(&window(1), true);
+        accept(&mut outlet, 1);
         writeln!(stdout, "\naccepted").expect("the parent reads");
         outlet.tend();
         std::thread::sleep(Duration::from_millis(10));
@@ -271,7 +281,7 @@ fn a_killed_broker_costs_no_accepted_window() {
         }
         for _ in 0..20 {
             sent += 1;
-            outlet.density(&window(sent), true);
+            accept(&mut outlet, sent);
         }
         // Some of them are on their way now, acknowledged or not.
         outlet.tend();
@@ -308,7 +318,7 @@ fn a_day_without_a_broker_drains_and_live_windows_go_first() {
     let folder = common::folder();
     let day = repetitions(100, 1440) as u64;
     let mut outlet = outlet(port, folder.path(), if day < 1440 { 50.0 } else { 10.0 });
-    (1..=day).for_each(|n| outlet.density(&window(n as i64), true));
+    (1..=day).for_each(|n| accept(&mut outlet, n as i64));
     let _broker = mosquitto.start(port);
     let mut subscriber = Subscriber::connect(port, "verge/#").expect("a subscription");
     let started = Instant::now();
@@ -318,7 +328,7 @@ fn a_day_without_a_broker_drains_and_live_windows_go_first() {
         assert!(started.elapsed() < Duration::from_mins(10), "a day drains within 10 minutes");
         outlet.tend();
         if live.is_none() && outlet.counts().waiting < day / 2 {
-            outlet.density(&window(day as i64 + 1), true);
+            accept(&mut outlet, day as i64 + 1);
             live = Some(arrived.times.len());
         }
         while let Some((topic, payload)) = subscriber.next(Duration::from_millis(5)) {

@@ -30,8 +30,9 @@ use verge::daemon::spool::{self, Spool};
 use verge::density::{Aggregator, SampleZoneStatus, Start};
 use verge::lane::{self, Description, Lane, LaneTable, Name};
 use verge::scene::{Point, Reference};
+use verge::sensor::ClosedWindow;
 use verge::units::{Direction, ImagePoint, ImageSize, LaneId, UtcMs, VehicleClass};
-use verge::wire::{self, DensityMessage, ModelRef};
+use verge::wire::{self, CalibrationRef, DensityMessage, ModelRef};
 use verge_messages::formats::{Exporter, Format, Place};
 use verge_messages::{Density, Status, read};
 
@@ -373,8 +374,10 @@ fn messages_to_begin_with() -> Vec<DensityMessage> {
     }
     closed.extend(line.miss(UtcMs(1_767_600_120_000), SampleZoneStatus::PoorContrast));
     let model = ModelRef { name: name("model"), sha256: [7; 32] };
-    let identity = Identity::new("site", table.description(), &model);
-    (1..).zip(&closed).map(|(seq, report)| identity.message(report, true, seq)).collect()
+    let identity = Identity::new("site", &model);
+    let calibration = &CalibrationRef::of(table.description());
+    let message = |report, seq| identity.message(ClosedWindow { report, calibration }, true, seq);
+    (1..).zip(&closed).map(|(seq, report)| message(report, seq)).collect()
 }
 
 /// Writes a message that was read in every format: none of it may panic.

@@ -1,19 +1,25 @@
-//! `verge bench`: what each stage takes, as JSON.
+//! `verge bench`: what each stage of the line takes, as JSON.
+//!
+//! Times the line that runs, by an observer at its side. Stages in processor time, which a busy
+//! machine does not change; the cold start by the wall clock.
 
 #[cfg(feature = "desk")]
 use super::compare;
 use super::{ModelArgs, recording};
 use crate::daemon::assemble::open_endless;
+use crate::daemon::clock;
 use crate::daemon::config::Views;
-use crate::daemon::counting::Counting;
 use crate::daemon::exit::Failure;
-use crate::daemon::line::{LineSettings, StageTimes};
+use crate::daemon::line::{Judging, LineSettings, Stage};
+use crate::daemon::presets::{self, WindowSettings};
+use crate::daemon::station::Station;
+use crate::sensor::{Preset, Windows};
 use crate::units::{ImagePoint, ImageSize};
 #[cfg(feature = "desk")]
 use serde_json::Value;
 use serde_json::json;
 use std::hint::black_box;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Look-ups that are timed together.
@@ -54,40 +60,44 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let settings = LineSettings {
         score: args.model.score,
         views: args.views,
-        ..LineSettings::recorded(&table, &args.model.model, Duration::from_secs(900))
+        // A recording that is played again shows what it showed.
+        judging: Judging::Ignored,
+        ..LineSettings::recorded(&table, &args.model.model)
     };
-    let mut station = open_endless(&settings, &frames)?;
-    station.turn_timed()?;
+    let windows = WindowSettings::recorded(Duration::from_secs(900));
+    let mut bench = Bench::open(&settings, &windows, &frames)?;
+    bench.turn()?;
     let cold_start = started.elapsed();
     for _ in 0..args.count {
-        station.turn_timed()?;
+        bench.turn()?;
     }
-    let stages: Vec<StageTimes> =
-        (0..args.count.max(1)).map(|_| station.turn_timed()).collect::<Result<_, _>>()?;
-    let stage = |pick: fn(&StageTimes) -> Duration| median_ms(stages.iter().map(pick));
+    let turns: Vec<Times> =
+        (0..args.count.max(1)).map(|_| bench.turn()).collect::<Result<_, _>>()?;
+    let median = |pick: fn(&Times) -> Duration| median_ms(turns.iter().map(pick));
     let peak_rss = peak_rss_mb();
+    let preset = bench.station.line().preset();
     #[cfg_attr(not(feature = "desk"), expect(unused_mut, reason = "the comparison adds to it"))]
     let mut report = json!({
-        "frames": stages.len(),
-        "picture": station.line().counting().table().image_size.to_string(),
+        "frames": turns.len(),
+        "picture": preset.table().image_size.to_string(),
         "model": args.model.model.file_name().map(|name| name.to_string_lossy()),
-        "capture_ms": stage(|s| s.capture),
-        "scene_ms": stage(|s| s.scene),
-        "prepare_ms": stage(|s| s.prepare),
-        "infer_ms": stage(|s| s.infer),
-        "read_ms": stage(|s| s.read),
-        "count_ms": stage(|s| s.count),
-        "except_inference_ms": stage(|s| s.capture + s.scene + s.prepare + s.read + s.count),
-        "frame_ms": stage(|s| s.capture + s.scene + s.prepare + s.infer + s.read + s.count),
-        "table_look_up_ns": look_up_ns(station.line().counting()),
+        "capture_ms": median(|t| t.capture),
+        "scene_ms": median(|t| t.scene),
+        "prepare_ms": median(|t| t.prepare),
+        "infer_ms": median(|t| t.infer),
+        "read_ms": median(|t| t.read),
+        "count_ms": median(|t| t.count),
+        "except_inference_ms": median(|t| t.all() - t.infer),
+        "frame_ms": median(Times::all),
+        "table_look_up_ns": look_up_ns(preset),
         "cold_start_ms": round(cold_start.as_secs_f64() * 1e3),
         "peak_rss_mb": peak_rss,
     });
     #[cfg(feature = "desk")]
     if args.compare_onnxruntime {
-        let picture = station.frame().picture.clone();
+        let picture = bench.station.frame().picture.clone();
         let model = args.model.model.clone();
-        let frame = || station.turn_timed().map(drop);
+        let frame = || bench.turn().map(drop);
         let compared = compare::compare(&model, &picture, args.count.max(1), frame)?;
         if let (Value::Object(report), Value::Object(compared)) = (&mut report, compared) {
             report.extend(compared);
@@ -95,6 +105,67 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     println!("{report:#}");
     Ok(())
+}
+
+/// A recording that is played for ever through the line, with a watch at its side.
+struct Bench {
+    station: Station,
+    windows: Windows<Vec<Preset>>,
+}
+
+impl Bench {
+    fn open(
+        settings: &LineSettings,
+        windows: &WindowSettings,
+        frames: &Path,
+    ) -> Result<Self, Failure> {
+        let (station, windows) = open_endless(settings, windows, frames)?;
+        Ok(Self { station, windows })
+    }
+
+    /// Takes and measures a picture, and says what each stage took.
+    fn turn(&mut self) -> Result<Times, Failure> {
+        let mut times = Times::default();
+        let mut last = clock::processor_time();
+        let mut lap = |stage: &mut Duration| {
+            let now = clock::processor_time();
+            *stage += now - std::mem::replace(&mut last, now);
+        };
+        self.station.capture()?;
+        lap(&mut times.capture);
+        let time = self.station.frame().time;
+        let outcome = self.station.measure(&mut |stage| {
+            lap(match stage {
+                Stage::Scene => &mut times.scene,
+                Stage::Prepare => &mut times.prepare,
+                Stage::Infer => &mut times.infer,
+                Stage::Read => &mut times.read,
+                Stage::Count => &mut times.count,
+            });
+        })?;
+        self.windows.take(time, &outcome, &mut |_| ());
+        lap(&mut times.count);
+        Ok(times)
+    }
+}
+
+/// What the stages took for one frame, of this thread's processor time.
+#[derive(Clone, Copy, Debug, Default)]
+struct Times {
+    /// Reading and decoding the picture.
+    capture: Duration,
+    scene: Duration,
+    prepare: Duration,
+    infer: Duration,
+    read: Duration,
+    /// Boxes into lanes and windows.
+    count: Duration,
+}
+
+impl Times {
+    fn all(&self) -> Duration {
+        self.capture + self.scene + self.prepare + self.infer + self.read + self.count
+    }
 }
 
 fn median_ms(times: impl Iterator<Item = Duration>) -> f64 {
@@ -109,18 +180,19 @@ fn round(value: f64) -> f64 {
 }
 
 /// Mean time of a look-up at points spread over the whole picture.
-fn look_up_ns(counting: &Counting) -> f64 {
-    let ImageSize { width, height } = counting.table().image_size;
+fn look_up_ns(preset: &presets::Preset) -> f64 {
+    let ImageSize { width, height } = preset.table().image_size;
     let (width, height) = (f32::from(width), f32::from(height));
     let mut state = 1u32;
-    let begun = Instant::now();
+    let begun = clock::processor_time();
     for _ in 0..LOOK_UPS {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         let u = (state >> 16) as f32 / 65_536.0 * width;
         let v = (state & 0xffff) as f32 / 65_536.0 * height;
-        black_box(counting.place(ImagePoint { u, v }));
+        black_box(preset.place(ImagePoint { u, v }));
     }
-    round(begun.elapsed().as_secs_f64() * 1e9 / f64::from(LOOK_UPS))
+    let took = clock::processor_time() - begun;
+    round(took.as_secs_f64() * 1e9 / f64::from(LOOK_UPS))
 }
 
 /// Largest resident memory so far, MB; `None` where the system does not tell.

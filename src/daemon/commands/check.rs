@@ -57,24 +57,26 @@ pub fn run(path: &Path) -> Result<(), Failure> {
 
 /// Measures the picture that was taken and another one, and describes what was seen.
 fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> {
-    let first = station.measure()?.event;
+    let measured = |station: &mut Station| station.measure(&mut |_| ()).map(|o| o.event());
+    let first = measured(&mut station)?;
     let (mut found, mut located) = station.line().latest();
     std::thread::sleep(APART);
-    let second = if station.capture()? { station.measure()?.event } else { Event::Unchanged };
+    let is_new = station.capture()?;
+    let second = if is_new { measured(&mut station)? } else { Some(Event::Unchanged) };
     let event = match second {
         // A camera may give the same picture until its next is due.
-        Event::Unchanged if interval >= APART => first,
+        Some(Event::Unchanged) if interval >= APART => first,
         second => second,
     };
-    if second == Event::Measured {
+    if second == Some(Event::Measured) {
         (found, located) = station.line().latest();
     }
     let aim = station.line().scene().map_or("not checked", |scene| scene.aiming().name());
     match event {
-        Event::Withheld(alarm) => Err(withheld(alarm)),
-        Event::PassedOver => Err(withheld(Alarm::CameraMoved)),
-        Event::Unchanged => Err(withheld(Alarm::FrozenPicture)),
-        Event::Measured | Event::Damaged | Event::Missing => Ok(format!(
+        Some(Event::Withheld(alarm)) => Err(withheld(alarm)),
+        Some(Event::PassedOver) => Err(withheld(Alarm::CameraMoved)),
+        Some(Event::Unchanged) => Err(withheld(Alarm::FrozenPicture)),
+        Some(Event::Measured | Event::Damaged | Event::Missing) | None => Ok(format!(
             "{found} vehicles found, {located} of them in the lanes; the camera's aim: {aim}"
         )),
     }

@@ -3,15 +3,16 @@
 //! What is printed has gone through everything: frames from files, the model, the lane
 //! table, windows, MQTT over loopback, and JSON.
 
-use super::playback::play;
+use super::playback::{Played, play};
 use super::recording;
 use crate::daemon::assemble::open_recording;
 use crate::daemon::config::DEFAULT_MODEL;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::outlet::Outlet;
+use crate::daemon::presets::WindowSettings;
 use crate::daemon::publish::loopback::{self, Subscriber};
-use crate::daemon::publish::{Format, MqttSettings};
+use crate::daemon::publish::{Format, Identity, MqttSettings};
 use serde_json::Value;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -25,8 +26,10 @@ const ROOT: &str = "verge/demo";
 pub fn run() -> Result<(), Failure> {
     let started = Instant::now();
     let recording = recording::find()?;
-    let settings = LineSettings::recorded(recording.table.as_ref(), DEFAULT_MODEL.as_ref(), WINDOW);
-    let (recorded, mut line) = open_recording(&settings, recording.frames.as_ref(), None)?;
+    let settings = LineSettings::recorded(recording.table.as_ref(), DEFAULT_MODEL.as_ref());
+    let windows = WindowSettings::recorded(WINDOW);
+    let (recorded, mut line, windows) =
+        open_recording(&settings, &windows, recording.frames.as_ref(), None)?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
         .map_err(|e| Failure::Internal(e.to_string()))?;
@@ -40,17 +43,15 @@ pub fn run() -> Result<(), Failure> {
     let printer = thread::spawn(move || print_until_shutdown(subscriber));
     let frames = recorded.frames();
     let broker = MqttSettings::local(port, ROOT);
-    let mut outlet = Outlet::in_memory(broker, Format::Json, line.identity("demo"));
-    let played = play(
-        recorded,
-        &mut line,
-        |_, _| Ok(()),
-        |closed, _| {
-            closed.iter().for_each(|report| outlet.density(report, false));
-            outlet.tend();
-            Ok(())
-        },
-    );
+    let identity = Identity::new("demo", line.model());
+    let mut outlet = Outlet::in_memory(broker, Format::Json, identity);
+    let played = play(recorded, &mut line, windows, |played| {
+        if let Played::Window(window) = played {
+            outlet.density(window, false);
+        }
+        outlet.tend();
+        Ok(())
+    });
     outlet.stop();
     let lanes = printer.join().unwrap_or_default();
     played?;

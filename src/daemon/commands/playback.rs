@@ -7,37 +7,54 @@ use crate::daemon::capture::{Captured, Recorded, Source};
 use crate::daemon::exit::Failure;
 use crate::daemon::frame::{Detection, Frame, Picture};
 use crate::daemon::line::Line;
-use crate::density::{Closed, SampleZoneStatus};
-use crate::health::Event;
-use crate::lane::Description;
+use crate::sensor::{ClosedWindow, Outcome, Preset, Windows};
+
+/// What a recording gives as it is played.
+pub enum Played<'a> {
+    /// A frame that went through the line, and what was found in it.
+    Frame(&'a Frame, &'a [Detection]),
+    /// A window that has closed.
+    Window(ClosedWindow<'a>),
+}
 
 /// Plays a recording through a line: each frame that was measured, and the windows as
 /// they close. Frames that cannot be measured are said and count as missed.
 pub fn play(
     recorded: Recorded,
     line: &mut Line,
-    mut on_frame: impl FnMut(&Frame, &[Detection]) -> Result<(), Failure>,
-    mut on_windows: impl FnMut(&Closed, &Description) -> Result<(), Failure>,
+    mut windows: Windows<Vec<Preset>>,
+    mut on: impl FnMut(Played<'_>) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let mut player = Player::new(recorded);
     while let Some(captured) = player.next() {
-        let outcome = captured.and_then(|()| line.measure(&player.frame));
-        let closed = match outcome {
-            Ok(measured) => {
-                player.judged(measured.event);
-                on_frame(&player.frame, line.found())?;
-                measured.closed
+        let (time, mut written) = (player.frame.time, Ok(()));
+        let mut closed = |window: ClosedWindow<'_>| {
+            if written.is_ok() {
+                written = on(Played::Window(window));
+            }
+        };
+        match captured.and_then(|()| line.measure(&player.frame, &mut |_| ())) {
+            Ok(outcome) => {
+                player.judged(&outcome);
+                windows.take(time, &outcome, &mut closed);
+                written?;
+                on(Played::Frame(&player.frame, line.found()))?;
             }
             Err(fault) => {
                 player.note(&fault);
-                line.miss(player.frame.time, SampleZoneStatus::InputDataIntegrity)
+                windows.take(time, &Outcome::Damaged, &mut closed);
+                written?;
             }
-        };
-        on_windows(&closed, line.reported())?;
+        }
     }
     player.finish()?;
-    let closed = line.finish();
-    on_windows(&closed, line.reported())
+    let mut written = Ok(());
+    windows.finish(&mut |window| {
+        if written.is_ok() {
+            written = on(Played::Window(window));
+        }
+    });
+    written
 }
 
 /// Searches a recording for vehicles. Frames that cannot be searched are said.
@@ -67,22 +84,15 @@ struct Player {
     frames: usize,
     measured: usize,
     first_fault: Option<String>,
-    /// What the latest frame was.
-    event: Event,
+    /// What was said of the frames last.
+    said: Option<&'static str>,
 }
 
 impl Player {
     fn new(recorded: Recorded) -> Self {
         let frames = recorded.frames();
         let source = Source::Recorded(recorded);
-        Self {
-            source,
-            frame: Frame::default(),
-            frames,
-            measured: 0,
-            first_fault: None,
-            event: Event::Measured,
-        }
+        Self { source, frame: Frame::default(), frames, measured: 0, first_fault: None, said: None }
     }
 
     /// Fills `frame` with the next picture; `None` at the end.
@@ -95,18 +105,24 @@ impl Player {
     }
 
     /// Says what a frame was when that changes.
-    fn judged(&mut self, event: Event) {
+    fn judged(&mut self, outcome: &Outcome<'_>) {
         self.measured += 1;
-        let name = &self.frame.name;
-        if event != self.event {
-            match event {
-                Event::Withheld(alarm) => log::warn!("from frame {name} on: {}", alarm.name()),
-                Event::Unchanged => log::warn!("frame {name} shows nothing new"),
-                Event::PassedOver => log::warn!("frame {name} is displaced"),
-                _ => log::info!("from frame {name} on all is well"),
-            }
+        let is = match outcome {
+            Outcome::Withheld(alarm) => Some(alarm.name()),
+            Outcome::Unchanged => Some("shows nothing new"),
+            Outcome::PassedOver => Some("is displaced"),
+            _ => None,
+        };
+        if is == self.said {
+            return;
         }
-        self.event = event;
+        self.said = is;
+        let name = &self.frame.name;
+        match (is, outcome) {
+            (Some(alarm), Outcome::Withheld(_)) => log::warn!("from frame {name} on: {alarm}"),
+            (Some(is), _) => log::warn!("frame {name} {is}"),
+            (None, _) => log::info!("from frame {name} on all is well"),
+        }
     }
 
     fn note(&mut self, fault: &Failure) {

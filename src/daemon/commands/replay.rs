@@ -1,6 +1,6 @@
 //! `verge replay`: density in recorded frames, the same bytes each time.
 
-use super::playback::play;
+use super::playback::{Played, play};
 use super::{ModelArgs, text};
 use crate::daemon::assemble::open_recording;
 use crate::daemon::config::Views;
@@ -8,6 +8,7 @@ use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
+use crate::daemon::presets::{TableSettings, WindowSettings};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -47,17 +48,17 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<(), Failure> {
-    let (table, presets) = args.table.split_first().expect("clap requires one");
     let settings = LineSettings {
-        presets: presets.to_vec(),
-        watch: !args.unwatched,
+        tables: TableSettings { files: args.table.clone(), camera: None, anchor: args.anchor },
+        judging: (!args.unwatched).into(),
+        model: args.model.model.clone(),
         score: args.model.score,
         views: args.views,
-        anchor: args.anchor,
-        ..LineSettings::recorded(table, &args.model.model, Duration::from_secs(args.window))
     };
+    let windows = WindowSettings::recorded(Duration::from_secs(args.window));
     let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
-    let (recorded, mut line) = open_recording(&settings, &args.frames, interval)?;
+    let (recorded, mut line, windows) =
+        open_recording(&settings, &windows, &args.frames, interval)?;
     if recorded.assumes_interval() {
         log::warn!(
             "neither names nor file times tell when the frames were taken: one each {} s is \
@@ -65,36 +66,19 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             recorded.interval().as_secs_f64()
         );
     }
-    let clock_synced = recorded.tells_time();
-    let site = line.counting().table().camera_id.clone();
-    let mut identity = line.identity(&site);
-    let mut seq = 0;
+    let mut messages =
+        text::Messages::new(&line.preset().table().camera_id, line.model(), recorded.tells_time());
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
     let mut heading = (!args.json).then_some(text::LANE_HEADING);
-    play(
-        recorded,
-        &mut line,
-        |frame, found| match &mut detections {
-            Some(file) => file.line(&text::boxes(frame, found)),
-            None => Ok(()),
-        },
-        |closed, table| {
-            identity.measured_with(table);
-            for report in closed {
-                if args.json {
-                    seq += 1;
-                    let message = identity.message(report, clock_synced, seq);
-                    print(&text::json(&message))?;
-                    continue;
-                }
-                heading.take().map_or(Ok(()), print)?;
-                for lane in &report.lanes {
-                    print(&text::lane(report, lane))?;
-                }
-            }
-            Ok(())
-        },
-    )?;
+    play(recorded, &mut line, windows, |played| match (played, &mut detections) {
+        (Played::Frame(frame, found), Some(file)) => file.line(&text::boxes(frame, found)),
+        (Played::Frame(..), None) => Ok(()),
+        (Played::Window(window), _) if args.json => print(&messages.next(window)),
+        (Played::Window(window), _) => {
+            heading.take().map_or(Ok(()), print)?;
+            window.report.lanes.iter().try_for_each(|lane| print(&text::lane(window.report, lane)))
+        }
+    })?;
     detections.map_or(Ok(()), WholeFile::finish)
 }
 

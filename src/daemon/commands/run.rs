@@ -1,6 +1,6 @@
 //! `verge run`: measures and publishes until it is told to stop.
 //!
-//! Owns the loop and the signals; what a turn does is `sensor`'s.
+//! Owns the loop and the signals; what a turn does is `running`'s.
 
 use crate::daemon::assemble::Assembly;
 use crate::daemon::board::Driven;
@@ -8,7 +8,7 @@ use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::notify::Notify;
 use crate::daemon::reload::{Outcome, Reload};
-use crate::daemon::sensor::Sensor;
+use crate::daemon::running::Running;
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::path::Path;
@@ -32,41 +32,37 @@ where
     let config = Config::read(config)?;
     let mut notify = Notify::from_environment();
     let mut board = Driven::new(board);
-    let (station, outlet) = Assembly::of(&config)?.open(&config)?;
+    let opened = Assembly::of(&config)?.open(&config)?;
     log::info!("site {}: measuring every {:?}", config.site, config.interval());
-    let mut sensor = Sensor::new(config, station, outlet);
+    let mut running = Running::new(config, opened);
     let (mut next, mut ready) = (Instant::now(), false);
     let mut outcome = Ok(());
     while outcome.is_ok() && !stop.load(Ordering::Relaxed) {
-        match reload.outcome(sensor.config()) {
+        match reload.outcome(running.config()) {
             Some(Outcome::Begun) => notify.reloading(),
             Some(Outcome::Loaded(candidate)) => {
-                sensor.prepare(candidate);
-                notify.status(&sensor.describe());
+                running.prepare(candidate);
+                notify.status(&running.describe());
                 notify.ready();
             }
             Some(Outcome::Refused(failure)) => {
-                sensor.refuse(&failure);
-                notify.status(&sensor.describe());
+                running.refuse(&failure);
+                notify.status(&running.describe());
                 notify.ready();
             }
             None => {}
         }
-        sensor.set_pace(board.pace(sensor.since_start()));
-        let mut event = None;
+        running.set_pace(board.pace(running.since_start()));
         // A new configuration may ask for pictures more often.
-        next = next.min(Instant::now() + sensor.interval());
+        next = next.min(Instant::now() + running.interval());
         if Instant::now() >= next {
-            match sensor.turn() {
-                Ok(turned) => event = turned,
-                Err(failure) => outcome = Err(failure),
-            }
-            next = (next + sensor.interval()).max(Instant::now());
+            outcome = running.turn();
+            next = (next + running.interval()).max(Instant::now());
         }
-        let actions = sensor.settle(event, &board);
-        let now = sensor.since_start();
+        let actions = running.settle(&board);
+        let now = running.since_start();
         board.drive(actions, now);
-        notify.status(&sensor.describe());
+        notify.status(&running.describe());
         if !ready {
             notify.ready();
             ready = true;
@@ -78,7 +74,7 @@ where
     }
     log::info!("stopping");
     notify.stopping();
-    sensor.stop();
+    running.stop();
     if outcome.is_ok() {
         board.stop();
     }

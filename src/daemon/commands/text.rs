@@ -3,10 +3,11 @@
 use crate::daemon::clock::rfc3339;
 use crate::daemon::frame::{Detection, Frame};
 use crate::daemon::publish::payload::{self, status_name};
-use crate::daemon::publish::window_name;
+use crate::daemon::publish::{Identity, window_name};
 use crate::density::{LaneReport, WindowReport};
+use crate::sensor::ClosedWindow;
 use crate::units::Direction;
-use crate::wire::DensityMessage;
+use crate::wire::ModelRef;
 use serde_json::json;
 
 /// One lane of one window, in columns under [`LANE_HEADING`].
@@ -33,9 +34,25 @@ pub fn lane(report: &WindowReport, lane: &LaneReport) -> String {
 pub const LANE_HEADING: &str =
     "from (UTC)           window  lane           veh/km      se    frames status";
 
-/// One window as it would be published.
-pub fn json(message: &DensityMessage) -> String {
-    String::from_utf8_lossy(&payload::density(message, None)).into_owned()
+/// Windows as they would be published, one after the other.
+pub struct Messages {
+    identity: Identity,
+    clock_synced: bool,
+    seq: u64,
+}
+
+impl Messages {
+    /// Messages of that site.
+    pub fn new(site: &str, model: &ModelRef, clock_synced: bool) -> Self {
+        Self { identity: Identity::new(site, model), clock_synced, seq: 0 }
+    }
+
+    /// The next one.
+    pub fn next(&mut self, window: ClosedWindow<'_>) -> String {
+        self.seq += 1;
+        let message = self.identity.message(window, self.clock_synced, self.seq);
+        String::from_utf8_lossy(&payload::density(&message, None)).into_owned()
+    }
 }
 
 /// The boxes of one frame as a JSON line:

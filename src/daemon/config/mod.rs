@@ -150,6 +150,11 @@ impl Config {
         Duration::from_secs_f64(self.camera.interval_s)
     }
 
+    /// Lengths of the windows.
+    pub fn window_lengths(&self) -> Vec<Duration> {
+        self.windows.lengths_s.iter().copied().map(Duration::from_secs).collect()
+    }
+
     /// Folder of the windows that have not arrived.
     pub fn spool_folder(&self) -> &Path {
         &self.spool.folder

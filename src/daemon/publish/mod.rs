@@ -12,9 +12,9 @@ pub mod payload;
 pub use mqtt::{MqttSettings, MqttVersion, Tls, TlsError, TlsFiles, probe};
 pub use verge_messages::window_name;
 
-use crate::density::WindowReport;
-use crate::lane::{Description, Name};
-use crate::wire::{self, CalibrationRef, DensityMessage, MAX_MESSAGE, ModelRef};
+use crate::lane::Name;
+use crate::sensor::ClosedWindow;
+use crate::wire::{self, DensityMessage, MAX_MESSAGE, ModelRef};
 use mqtt::{Connection, Message, Report};
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -42,48 +42,34 @@ pub enum Format {
     Postcard,
 }
 
-/// Who measures, and with what.
+/// Who measures, and with which model.
 #[derive(Clone, Debug)]
 pub struct Identity {
     site: Name,
-    calibration: CalibrationRef,
     model: ModelRef,
 }
 
 impl Identity {
-    /// The identity of a site that measures with this table and model.
-    pub fn new(site: &str, table: &Description, model: &ModelRef) -> Self {
-        let (site, calibration) = (Name::truncated(site), calibration(table));
-        Self { site, calibration, model: model.clone() }
-    }
-
-    /// From here on it measures with another table.
-    pub fn measured_with(&mut self, table: &Description) {
-        if self.calibration.id != table.calibration_id
-            || self.calibration.sha256 != table.calibration_sha256
-        {
-            self.calibration = calibration(table);
-        }
+    /// The identity of a site that measures with this model.
+    pub fn new(site: &str, model: &ModelRef) -> Self {
+        Self { site: Name::truncated(site), model: model.clone() }
     }
 
     /// The message of a window with its number.
-    pub fn message(&self, report: &WindowReport, clock_synced: bool, seq: u64) -> DensityMessage {
+    pub fn message(
+        &self,
+        window: ClosedWindow<'_>,
+        clock_synced: bool,
+        seq: u64,
+    ) -> DensityMessage {
         DensityMessage {
             site: self.site.clone(),
             seq,
             clock_synced,
-            report: report.clone(),
-            calibration: self.calibration.clone(),
+            report: window.report.clone(),
+            calibration: window.calibration.clone(),
             model: self.model.clone(),
         }
-    }
-}
-
-fn calibration(table: &Description) -> CalibrationRef {
-    CalibrationRef {
-        id: table.calibration_id.clone(),
-        sha256: table.calibration_sha256,
-        rel_err: table.length_rel_err,
     }
 }
 

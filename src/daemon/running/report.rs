@@ -1,6 +1,6 @@
 //! The sensor's health as it is published, and written for Prometheus.
 
-use super::Sensor;
+use super::Running;
 use crate::daemon::board::Driven;
 use crate::daemon::clock;
 use crate::daemon::line::Line;
@@ -10,7 +10,7 @@ use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
 use crate::health::Actions;
 
-impl Sensor {
+impl Running {
     pub(super) fn publish_health<L, R, W, T>(
         &mut self,
         actions: Actions,
@@ -21,8 +21,9 @@ impl Sensor {
         W: Watchdog,
         T: Thermometer,
     {
-        let (delivered, refused) = self.outlet.publisher().counts();
-        let spool = self.outlet.counts();
+        let (outlet, frames) = (&self.hands.outlet, self.sensor.frames());
+        let (delivered, refused) = outlet.publisher().counts();
+        let spool = outlet.counts();
         let stream = self.station.stream_counts();
         let faults = board.faults();
         let line = self.station.line();
@@ -36,7 +37,13 @@ impl Sensor {
             uptime_s: self.since_start().as_secs(),
             clock_synced: clock::is_synchronised(),
             camera: camera(line),
-            frames: self.frames,
+            frames: payload::Frames {
+                measured: frames.measured,
+                unchanged: frames.unchanged,
+                damaged: frames.damaged,
+                missing: frames.missing,
+                withheld: frames.withheld,
+            },
             stream: Stream {
                 flagged: stream.flagged,
                 lost: stream.lost,
@@ -52,7 +59,7 @@ impl Sensor {
             },
             board: payload::Board {
                 enclosure_c: board.enclosure_c(),
-                pace: pace(self.pace),
+                pace: pace(self.sensor.pace()),
                 faults: payload::BoardFaults {
                     status_led: faults.status_led,
                     camera_power: faults.camera_power,
@@ -61,12 +68,13 @@ impl Sensor {
                 },
                 last_fault: board.last_fault().map(str::to_owned),
             },
-            stage_faults: self.stage_faults.faults(),
-            last_fault: self.fault().map(str::to_owned),
+            stage_faults: self.sensor.stage_faults(),
+            last_fault: self.hands.fault().map(str::to_owned),
         };
-        self.outlet.publisher().health(&health);
-        let (alarms, is_open) = (self.alarms(), self.outlet.is_open());
-        if let Some(metrics) = &mut self.metrics {
+        outlet.publisher().health(&health);
+        let alarms: Vec<_> = self.sensor.alarms().collect();
+        let is_open = outlet.is_open();
+        if let Some(metrics) = &mut self.hands.metrics {
             metrics.write(&health, &alarms, is_open);
         }
     }
@@ -77,7 +85,7 @@ fn camera(line: &Line) -> Option<payload::Camera> {
     let tenths = |px: f32| (px * 10.0).round() / 10.0;
     Some(payload::Camera {
         aim: aim(scene.aiming()),
-        preset: line.counting().table().calibration_id.as_str().to_owned(),
+        preset: line.preset().table().calibration_id.as_str().to_owned(),
         shift_px: scene.shift().map(|shift| [tenths(shift.u), tenths(shift.v)]),
         light: scene
             .latest()

@@ -1,0 +1,169 @@
+//! The lane tables of the camera's presets: from boxes in a picture to counts by lane.
+//!
+//! Owns the tables of one camera and the count of its latest picture. Windows over these counts
+//! are the core's [`crate::sensor`].
+
+use super::exit::Failure;
+use super::frame::Detection;
+use super::locate::{Anchor, LocateError, Located, Locator};
+use crate::density::{FrameCounts, Start};
+use crate::lane::{Description, Place};
+use crate::scene::Reference;
+use crate::sensor;
+use crate::units::ImagePoint;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Which tables, and how they are looked up.
+#[derive(Clone, Debug)]
+pub struct TableSettings {
+    /// One lane table for each preset of the camera, at least one.
+    pub files: Vec<PathBuf>,
+    /// The camera that they must belong to; `None`: whichever they belong to.
+    pub camera: Option<String>,
+    /// Which point of a box stands for the vehicle.
+    pub anchor: Anchor,
+}
+
+impl TableSettings {
+    /// One table, of whichever camera.
+    pub fn of(file: &Path) -> Self {
+        Self { files: vec![file.to_owned()], camera: None, anchor: Anchor::default() }
+    }
+}
+
+/// The windows over which density is taken.
+#[derive(Clone, Debug)]
+pub struct WindowSettings {
+    /// Their lengths.
+    pub lengths: Vec<Duration>,
+    /// Share of its frames that a window needs.
+    pub min_completeness: f32,
+    /// What happens to a window that was begun in its middle.
+    pub start: Start,
+}
+
+impl WindowSettings {
+    /// For a recording: every frame counts.
+    pub fn recorded(length: Duration) -> Self {
+        Self { lengths: vec![length], min_completeness: 0.0, start: Start::WithFirstFrame }
+    }
+}
+
+/// One lane table and the count of its latest picture.
+#[derive(Debug)]
+pub struct Preset {
+    locator: Locator,
+    located: Vec<Located>,
+    none: FrameCounts,
+    counts: FrameCounts,
+}
+
+impl Preset {
+    /// What the lane table says about itself.
+    pub fn table(&self) -> &Description {
+        self.locator.description()
+    }
+
+    /// Where a point of the table's picture lies on the road.
+    pub fn place(&self, point: ImagePoint) -> Option<Place> {
+        self.locator.place(point)
+    }
+
+    /// How many vehicles of its latest picture are in the lanes.
+    pub fn located(&self) -> usize {
+        self.located.len()
+    }
+}
+
+/// The presets of a camera.
+#[derive(Debug)]
+pub struct Presets {
+    presets: Vec<Preset>,
+    /// The one at which the camera looked in the picture that was counted last.
+    active: usize,
+}
+
+impl Presets {
+    /// Loads the tables.
+    ///
+    /// # Errors
+    /// [`LocateError`] names the file that is missing or wrong.
+    pub fn load(settings: &TableSettings) -> Result<Self, LocateError> {
+        let load = |file: &PathBuf| {
+            let locator = Locator::load(file, settings.camera.as_deref(), settings.anchor)?;
+            let table = locator.description();
+            let none = FrameCounts::new(&table.lanes, table.cell_length_m);
+            Ok(Preset { counts: none.clone(), none, locator, located: Vec::new() })
+        };
+        let presets = settings.files.iter().map(load).collect::<Result<_, _>>()?;
+        Ok(Self { presets, active: 0 })
+    }
+
+    /// Windows over the lanes of each table, for a camera with this time between frames.
+    ///
+    /// # Errors
+    /// [`Failure::Aggregate`] where they cannot be kept or never filled.
+    pub fn windows(
+        &self,
+        settings: &WindowSettings,
+        interval: Duration,
+    ) -> Result<Vec<sensor::Preset>, Failure> {
+        let WindowSettings { lengths, min_completeness, start } = settings;
+        let of = |preset: &Preset| {
+            sensor::Preset::new(preset.table(), lengths, interval, *min_completeness, *start)
+        };
+        Ok(self.presets.iter().map(of).collect::<Result<_, _>>()?)
+    }
+
+    /// The reference of each preset's table.
+    ///
+    /// # Errors
+    /// [`LocateError`] for a wrong one, and for a missing one where there are several presets:
+    /// they could not be told apart.
+    pub fn references(&self) -> Result<Vec<Option<Reference>>, LocateError> {
+        let several = self.presets.len() > 1;
+        self.presets.iter().map(|preset| preset.locator.scene(several)).collect()
+    }
+
+    /// Each of them.
+    pub fn iter(&self) -> impl Iterator<Item = &Preset> {
+        self.presets.iter()
+    }
+
+    /// The one at which the camera looks.
+    pub fn active(&self) -> &Preset {
+        &self.presets[self.active]
+    }
+
+    /// Checks that a picture of this size belongs to the active table.
+    ///
+    /// # Errors
+    /// [`LocateError::Shape`].
+    pub fn check_size(&self, (width, height): (usize, usize)) -> Result<(), LocateError> {
+        self.active().locator.check_size(width, height).map(|_| ())
+    }
+
+    /// Counts the vehicles of a picture of that preset. The scene stands `shift` (px of the
+    /// picture) to the right of and below its place in the table.
+    ///
+    /// # Errors
+    /// [`LocateError::Shape`] for a picture that does not belong to the table.
+    pub fn count(
+        &mut self,
+        preset: usize,
+        detections: &[Detection],
+        (width, height): (usize, usize),
+        shift: ImagePoint,
+    ) -> Result<&FrameCounts, LocateError> {
+        let size = self.presets[preset].locator.check_size(width, height)?;
+        self.active = preset;
+        let Preset { locator, located, none, counts } = &mut self.presets[preset];
+        locator.locate(detections, size, shift, located);
+        counts.clone_from(none);
+        for vehicle in located {
+            counts.add(vehicle.place.lane, vehicle.place.s_m, vehicle.class);
+        }
+        Ok(counts)
+    }
+}

@@ -1,0 +1,170 @@
+//! What the sensor's actions become: messages, metrics and lines of the log.
+//!
+//! Owns the outlet, and what is said of faults. Decides nothing.
+
+use super::report;
+use crate::alarm::Alarm;
+use crate::daemon::clock;
+use crate::daemon::config::Config;
+use crate::daemon::exit::Failure;
+use crate::daemon::line::Line;
+use crate::daemon::metrics::Metrics;
+use crate::daemon::outlet::Outlet;
+use crate::daemon::publish::home_assistant::{self, Announcement};
+use crate::daemon::publish::payload;
+use crate::density::SampleZoneStatus;
+use crate::sensor::Action;
+use std::time::Duration;
+
+/// Performs actions.
+pub struct Hands {
+    site: String,
+    pub(super) outlet: Outlet,
+    pub(super) metrics: Option<Metrics>,
+    announcements: Vec<Announcement>,
+    /// The session that was told what there is.
+    announced: Option<u64>,
+    /// The latest fault, until a picture is measured.
+    last_fault: Option<String>,
+    /// Why the latest new configuration was refused.
+    refused: Option<String>,
+    health_due: bool,
+}
+
+impl Hands {
+    /// Hands that publish as the configuration says.
+    pub fn new(config: &Config, line: &Line, outlet: Outlet) -> Self {
+        Self {
+            site: config.site.clone(),
+            outlet,
+            metrics: config.metrics.file.as_deref().map(Metrics::new),
+            announcements: announcements(config, line),
+            announced: None,
+            last_fault: None,
+            refused: None,
+            health_due: false,
+        }
+    }
+
+    /// Does what the sensor asks for. Health is written when the sensor has said all.
+    pub fn perform(&mut self, action: Action<'_>) {
+        match action {
+            Action::Window { window, clock_synced } => {
+                self.outlet.density(window, clock_synced);
+                if let Some(metrics) = &mut self.metrics {
+                    metrics.note(window.report);
+                }
+            }
+            Action::Alarm { alarm, active } => self.alarm(alarm, active),
+            Action::Pace(pace) => {
+                log::warn!(
+                    "the enclosure's temperature sets the pace: {}",
+                    report::pace(pace).name()
+                );
+            }
+            Action::Health(_) => self.health_due = true,
+        }
+    }
+
+    fn alarm(&self, alarm: Alarm, active: bool) {
+        let name = alarm.name();
+        if alarm.status() == SampleZoneStatus::Ok {
+            // Heat and faults of the board are logged where they are noticed.
+        } else if active {
+            log::error!("alarm {name}: no density until it is over");
+        } else {
+            log::info!("alarm {name} is over");
+        }
+        self.outlet.publisher().alarm(&payload::AlarmMessage {
+            schema: payload::Schema::default(),
+            site: self.site.clone(),
+            time: clock::now().into(),
+            name: alarm.into(),
+            active,
+        });
+    }
+
+    /// Whether health is to be published; asked once each time.
+    pub fn is_health_due(&mut self) -> bool {
+        std::mem::take(&mut self.health_due)
+    }
+
+    /// A picture went through the line in that time.
+    pub fn note_measured(&mut self, took: Duration) {
+        self.last_fault = None;
+        if let Some(metrics) = &mut self.metrics {
+            metrics.note_turn(took);
+        }
+    }
+
+    /// Says a fault when it is another than the last: once, not with every frame. A fault of
+    /// the program is said each time.
+    pub fn note_fault(&mut self, fault: &Failure) {
+        if matches!(fault, Failure::Stage(_)) {
+            log::error!("{fault}");
+        }
+        let text = fault.to_string();
+        if self.last_fault.as_ref() != Some(&text) {
+            log::warn!("no measurement: {text}");
+            self.last_fault = Some(text);
+        }
+    }
+
+    /// A new configuration is refused, or none is any more.
+    pub fn refuse(&mut self, reason: Option<&Failure>) {
+        self.refused = reason.map(|failure| format!("reload refused: {failure}"));
+    }
+
+    /// What is wrong: with the pictures first, else with a new configuration.
+    pub fn fault(&self) -> Option<&str> {
+        self.last_fault.as_deref().or(self.refused.as_deref())
+    }
+
+    /// Hears what the broker has taken and sends what waits. Says to Home Assistant what there
+    /// is, after each connection: the broker may have lost what it kept.
+    pub fn tend(&mut self) {
+        self.outlet.tend();
+        let publisher = self.outlet.publisher();
+        let session = publisher.session();
+        if session.is_some() && session != std::mem::replace(&mut self.announced, session) {
+            for announcement in &self.announcements {
+                publisher.announce(announcement.clone());
+            }
+        }
+    }
+
+    /// What is said follows another configuration. What Home Assistant was told and is no more
+    /// is taken back by an empty message.
+    pub fn change(&mut self, before: &Config, config: &Config, line: &Line) {
+        if before.metrics.file != config.metrics.file {
+            self.metrics = config.metrics.file.as_deref().map(Metrics::new);
+        }
+        let new = announcements(config, line);
+        let is_gone = |old: &Announcement| new.iter().all(|new| new.topic != old.topic);
+        for Announcement { topic, .. } in self.announcements.drain(..).filter(is_gone) {
+            self.outlet.publisher().announce(Announcement { topic, payload: Vec::new() });
+        }
+        self.announcements = new;
+        self.announced = None;
+    }
+
+    /// Says goodbye; what has not arrived waits on the disk.
+    pub fn stop(self) {
+        self.outlet.stop();
+    }
+}
+
+/// The discovery messages that the configuration asks for.
+fn announcements(config: &Config, line: &Line) -> Vec<Announcement> {
+    let settings = &config.home_assistant;
+    if !settings.discovery {
+        return Vec::new();
+    }
+    home_assistant::announcements(
+        &settings.prefix,
+        &config.site,
+        &config.root_topic(),
+        &line.preset().table().lanes,
+        &config.window_lengths(),
+    )
+}

@@ -6,7 +6,7 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 use verge::daemon::capture::decode;
-use verge::daemon::detect::{Detector, Precision, forms};
+use verge::daemon::detect::{Detector, LoadOptions, Precision, forms};
 use verge::daemon::frame::{Picture, PixelBox};
 
 /// How far two boxes of one vehicle may lie apart in floats: overlap and score.
@@ -137,8 +137,10 @@ fn a_model_in_tract_finds_the_boxes_of_onnx_runtime() {
 
 /// Our boxes of the PNG files in `folder`, in the order of their names.
 fn ours(sidecar: &str, precision: Precision, folder: &Path) -> Vec<Boxes> {
-    let mut detector = Detector::load_as(Path::new(sidecar), Some(THRESHOLD as f32), precision)
-        .expect("a model that is known");
+    let score = Some(THRESHOLD as f32);
+    let options = LoadOptions { score, precision, ..LoadOptions::default() };
+    let mut detector =
+        Detector::load_as(Path::new(sidecar), &options).expect("a model that is known");
     println!("{sidecar}: {}", detector.runs_on());
     let mut names: Vec<_> = std::fs::read_dir(folder)
         .expect("it was made")

@@ -4,7 +4,7 @@
 //! one thread, and take turns, so that a busy machine slows both. Times are processor time.
 
 use crate::daemon::clock;
-use crate::daemon::detect::{Detector, Precision, forms};
+use crate::daemon::detect::{Detector, LoadOptions, Precision, forms};
 use crate::daemon::exit::Failure;
 use crate::daemon::frame::Picture;
 use serde_json::{Value, json};
@@ -144,7 +144,8 @@ pub fn compare(
     mut frame: impl FnMut() -> Result<(), Failure>,
 ) -> Result<Value, Failure> {
     let mut stored = Detector::load(model, None)?;
-    let mut float = Detector::load_as(model, None, Precision::Float)?;
+    let options = LoadOptions { precision: Precision::Float, ..LoadOptions::default() };
+    let mut float = Detector::load_as(model, &options)?;
     let stored_file = stored.file().to_owned();
     let forms = forms(&stored_file)?;
     let folder = Folder::new()?;

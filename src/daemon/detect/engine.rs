@@ -49,10 +49,12 @@ pub(super) enum Output {
 }
 
 impl Engine {
-    /// Loads `bytes`, the model file at `path`.
+    /// Loads `bytes`, the model file at `path`, whose input has the size `stored`, columns and
+    /// rows, for an input of the sidecar's size.
     pub(super) fn load(
         path: &Path,
         bytes: Vec<u8>,
+        stored: [usize; 2],
         sidecar: &Sidecar,
         head: &Head,
         precision: Precision,
@@ -74,10 +76,12 @@ impl Engine {
         drop(bytes);
         let (width, height) = (sidecar.input.width_px, sidecar.input.height_px);
         let shape = [1, 3, height, width];
-        let why = match Self::on_kernels(&proto, precision) {
+        let in_file = [1, 3, stored[1], stored[0]];
+        let size = Some([width, height]).filter(|size| *size != stored);
+        let why = match Self::on_kernels(&proto, precision, size) {
             Ok(Lowered { net, levels, parts, input }) => {
-                if input != shape {
-                    return Err(mismatch("the input", &shape, &input));
+                if input != in_file {
+                    return Err(mismatch("the input", &in_file, &input));
                 }
                 let columns = parts.iter().map(super::tail::Part::columns).sum();
                 let cells = (0..levels).map(|level| net.output(level).count()).sum();
@@ -91,9 +95,13 @@ impl Engine {
             }
             Err(why) => why,
         };
+        if size.is_some() {
+            let reason = format!("it cannot take an input of {width}x{height} px: {why}");
+            return Err(ModelError::Load { path: path.to_owned(), reason });
+        }
         let given = proto.graph.as_ref().and_then(|graph| graph.input.first()?.shape());
-        if let Some(actual) = given.filter(|actual| *actual != shape) {
-            return Err(mismatch("the input", &shape, &actual));
+        if let Some(actual) = given.filter(|actual| *actual != in_file) {
+            return Err(mismatch("the input", &in_file, &actual));
         }
         // tract would round in operators of their own, slower than not at all.
         let proto = forms::unrounded(proto);
@@ -109,13 +117,17 @@ impl Engine {
         Ok(Self::Tract { plan, shape, planes: vec![0.0; 3 * height * width], why })
     }
 
-    fn on_kernels(proto: &ModelProto, precision: Precision) -> Result<Lowered, String> {
+    fn on_kernels(
+        proto: &ModelProto,
+        precision: Precision,
+        size: Option<[usize; 2]>,
+    ) -> Result<Lowered, String> {
         let isa = match precision {
             Precision::Portable => Isa::Portable,
             Precision::AsStored | Precision::Float => Isa::best(),
         };
         let graph = proto.graph.as_ref().ok_or("a file without a graph")?;
-        lower(graph, precision == Precision::Float, isa)
+        lower(graph, precision == Precision::Float, isa, size)
     }
 
     /// In words.

@@ -87,6 +87,18 @@ pub enum ModelError {
     },
 }
 
+/// How a model is loaded, beside what its sidecar says.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LoadOptions {
+    /// Least score, in place of the sidecar's.
+    pub score: Option<f32>,
+    /// Columns and rows of the net's input, in place of the sidecar's: the same weights over a
+    /// larger or smaller picture. Both sides are multiples of 32.
+    pub input_px: Option<[usize; 2]>,
+    /// The arithmetic.
+    pub precision: Precision,
+}
+
 /// A picture that could not be searched.
 #[derive(Debug, thiserror::Error)]
 #[error("inference failed: {reason}")]
@@ -135,18 +147,16 @@ impl Detector {
     /// # Errors
     /// [`ModelError`] where the files are missing, damaged, or do not fit each other.
     pub fn load(path: &Path, score: Option<f32>) -> Result<Self, ModelError> {
-        Self::load_as(path, score, Precision::AsStored)
+        Self::load_as(path, &LoadOptions { score, ..LoadOptions::default() })
     }
 
-    /// As [`Self::load`], in the arithmetic that is asked for.
+    /// As [`Self::load`], with all that can be asked for.
     ///
     /// # Errors
-    /// [`ModelError`] where the files are missing, damaged, or do not fit each other.
-    pub fn load_as(
-        path: &Path,
-        score: Option<f32>,
-        precision: Precision,
-    ) -> Result<Self, ModelError> {
+    /// [`ModelError`] where the files are missing, damaged, or do not fit each other, and where
+    /// the net cannot take an input of the size that is asked for.
+    pub fn load_as(path: &Path, options: &LoadOptions) -> Result<Self, ModelError> {
+        let LoadOptions { score, input_px, precision } = *options;
         let (mut sidecar, sidecar_path, path) = Sidecar::find(path)?;
         if let Some(score) = score {
             sidecar.thresholds.score = score;
@@ -159,8 +169,13 @@ impl Detector {
             let expected = sidecar.sha256;
             return Err(ModelError::Hash { path, sidecar: sidecar_path, expected, actual });
         }
+        let stored = [sidecar.input.width_px, sidecar.input.height_px];
+        let input_px = input_px.filter(|size| *size != stored);
+        if let Some(size) = input_px {
+            sidecar.set_input(size, &sidecar_path)?;
+        }
         let head = Head::new(&sidecar);
-        let engine = Engine::load(&path, bytes, &sidecar, &head, precision)?;
+        let engine = Engine::load(&path, bytes, stored, &sidecar, &head, precision)?;
         let passes = vec![Pass::new(None, &sidecar)];
         let name = Name::try_from(sidecar.name.as_str()).unwrap_or_default();
         let candidates = Vec::with_capacity(MAX_CANDIDATES);

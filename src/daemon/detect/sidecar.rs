@@ -26,6 +26,10 @@ const KNOWN: &[(&str, &str)] = &[
 /// Largest side of a model's input, px.
 const MAX_INPUT_PX: usize = 4096;
 
+/// What an input that is not the file's is a multiple of, px: the cells of stride 32 that are
+/// enlarged meet those of stride 16, and theirs those of stride 8.
+const INPUT_STEP_PX: usize = 32;
+
 /// Why a sidecar cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SidecarError {
@@ -203,6 +207,25 @@ impl Sidecar {
             }
         }
         Err(SidecarError::Unknown { model: path.to_owned(), sidecar: beside })
+    }
+
+    /// Takes an input of `size`, columns and rows, in place of its own.
+    pub(super) fn set_input(&mut self, size: [usize; 2], path: &Path) -> Result<(), SidecarError> {
+        let [width, height] = size;
+        let wrong =
+            size.iter().any(|side| *side == 0 || *side > MAX_INPUT_PX || side % INPUT_STEP_PX != 0);
+        if wrong {
+            return Err(SidecarError::Value {
+                path: path.to_owned(),
+                key: "input",
+                reason: format!(
+                    "{width}x{height} px is asked for, each side must be a multiple of \
+                     {INPUT_STEP_PX} up to {MAX_INPUT_PX}"
+                ),
+            });
+        }
+        (self.input.width_px, self.input.height_px) = (width, height);
+        Ok(())
     }
 
     fn read(path: &Path) -> Result<Self, SidecarError> {

@@ -53,16 +53,25 @@ struct Lowering<'a> {
 }
 
 /// Puts `proto` onto the kernels of `isa`. With `float` its steps are left out and weights
-/// are turned into floats; without, a graph without steps is one of floats too.
+/// are turned into floats; without, a graph without steps is one of floats too. `size`, columns
+/// and rows, takes the place of the file's input size: what follows from it is worked out from
+/// the pictures themselves, never from a constant of the file.
 ///
 /// # Errors
 /// The first thing that is not recognised.
-pub(super) fn lower(proto: &GraphProto, float: bool, isa: Isa) -> Result<Lowered, Refusal> {
+pub(super) fn lower(
+    proto: &GraphProto,
+    float: bool,
+    isa: Isa,
+    size: Option<[usize; 2]>,
+) -> Result<Lowered, Refusal> {
     let graph = &Graph::new(proto);
     let constants: HashSet<_> = proto.initializer.iter().map(|t| t.name.as_str()).collect();
     let input = proto.input.iter().find(|input| !constants.contains(input.name.as_str()));
     let input = input.ok_or("no input")?;
-    let shape = input_shape(input).ok_or("an input that is no picture of known size")?;
+    let stored = input_shape(input).ok_or("an input that is no picture of known size")?;
+    let [width, height] = size.unwrap_or([stored.width, stored.height]);
+    let shape = Shape { height, width, ..stored };
     let steps = match graph.sole_reader(&input.name) {
         Some((_, node)) if !float && node.op_type == "QuantizeLinear" => Some(steps(graph, node)?),
         _ => None,
@@ -80,7 +89,7 @@ pub(super) fn lower(proto: &GraphProto, float: bool, isa: Isa) -> Result<Lowered
     match lowering.values.remove(output.name.as_str()) {
         Some(Value::Rows(Rows { levels, parts, axis: 2 })) => {
             let net = lowering.builder.finish(&levels).map_err(|error| error.to_string())?;
-            let input = [1, shape.channels, shape.height, shape.width];
+            let input = [1, stored.channels, stored.height, stored.width];
             Ok(Lowered { net, input, levels: levels.len(), parts })
         }
         _ => Err("an output that is no list of cells".to_owned()),

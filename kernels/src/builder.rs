@@ -4,7 +4,7 @@ use crate::isa::{Isa, traits};
 use crate::layout::{Block, lay_out};
 use crate::moves::Rescale;
 use crate::net::{Net, Shape};
-use crate::pack::{Conv, Steps, Weights};
+use crate::pack::{Conv, QuantParams, Weights};
 use crate::pixels::Window;
 use crate::step::{Arena, BEHIND, Place, Step, Work};
 
@@ -34,14 +34,14 @@ fn refuse<T>(reason: impl Into<String>) -> Result<T, PlanError> {
 struct Picture {
     shape: Shape,
     /// `None`: floats.
-    steps: Option<Steps>,
+    quant: Option<QuantParams>,
     /// Some channels of another picture, from one on.
     part_of: Option<(Tensor, usize)>,
 }
 
 impl Picture {
     fn width(&self) -> usize {
-        if self.steps.is_some() { 1 } else { 4 }
+        if self.quant.is_some() { 1 } else { 4 }
     }
 }
 
@@ -50,16 +50,16 @@ impl Picture {
 pub struct Builder {
     isa: Isa,
     pictures: Vec<Picture>,
-    steps: Vec<(Work, [Tensor; 2], Tensor)>,
+    ops: Vec<(Work, [Tensor; 2], Tensor)>,
     scratch: usize,
 }
 
 impl Builder {
-    /// Starts with the input. `steps`: bytes; without: floats.
-    pub fn new(isa: Isa, input: Shape, steps: Option<Steps>) -> (Self, Tensor) {
+    /// Starts with the input. `quant`: bytes; without: floats.
+    pub fn new(isa: Isa, input: Shape, quant: Option<QuantParams>) -> (Self, Tensor) {
         let isa = if isa.is_here() { isa } else { Isa::Portable };
-        let mut builder = Self { isa, pictures: Vec::new(), steps: Vec::new(), scratch: 0 };
-        let input = builder.picture(input, steps);
+        let mut builder = Self { isa, pictures: Vec::new(), ops: Vec::new(), scratch: 0 };
+        let input = builder.picture(input, quant);
         (builder, input)
     }
 
@@ -68,13 +68,13 @@ impl Builder {
         self.pictures[of.0].shape
     }
 
-    /// Steps of a picture of bytes.
-    pub fn steps(&self, of: Tensor) -> Option<Steps> {
-        self.pictures[of.0].steps
+    /// Quantisation of a picture of bytes.
+    pub fn quant_params(&self, of: Tensor) -> Option<QuantParams> {
+        self.pictures[of.0].quant
     }
 
-    fn picture(&mut self, shape: Shape, steps: Option<Steps>) -> Tensor {
-        self.pictures.push(Picture { shape, steps, part_of: None });
+    fn picture(&mut self, shape: Shape, quant: Option<QuantParams>) -> Tensor {
+        self.pictures.push(Picture { shape, quant, part_of: None });
         Tensor(self.pictures.len() - 1)
     }
 
@@ -83,10 +83,10 @@ impl Builder {
         work: Work,
         from: [Tensor; 2],
         shape: Shape,
-        steps: Option<Steps>,
+        quant: Option<QuantParams>,
     ) -> Tensor {
-        let to = self.picture(shape, steps);
-        self.steps.push((work, from, to));
+        let to = self.picture(shape, quant);
+        self.ops.push((work, from, to));
         to
     }
 
@@ -112,7 +112,7 @@ impl Builder {
     /// # Errors
     /// [`PlanError`] where there is no kernel for it or lengths do not fit.
     pub fn conv(&mut self, input: Tensor, conv: &Conv<'_>) -> Result<Tensor, PlanError> {
-        let Picture { shape, steps, .. } = self.pictures[input.0].clone();
+        let Picture { shape, quant, .. } = self.pictures[input.0].clone();
         let window = self.window(input, [conv.kernel, conv.stride, conv.pad])?;
         if conv.depthwise && (conv.channels != shape.channels || ![3, 5].contains(&conv.kernel)) {
             return refuse(format!(
@@ -133,10 +133,10 @@ impl Builder {
         let one = conv.kernel == 1 && conv.stride == 1 && conv.pad == 0;
         let (channels, count) = (shape.channels, out.pixels());
         let lanes = traits(self.isa).0;
-        let (work, scratch) = match (conv.weights, steps) {
-            (Weights::Int8 { values, scales, bias }, Some(steps)) => {
-                let packed = conv.pack(self.isa, steps, channels, values, scales, bias);
-                let outside = steps.zero;
+        let (work, scratch) = match (conv.weights, quant) {
+            (Weights::Int8 { values, scales, bias }, Some(quant)) => {
+                let packed = conv.pack(self.isa, quant, channels, values, scales, bias);
+                let outside = quant.zero_point;
                 if conv.depthwise {
                     let padded = channels.next_multiple_of(lanes);
                     let column = conv.kernel.div_ceil(4) * 4 * padded;
@@ -180,12 +180,12 @@ impl Builder {
         let window = self.window(input, [kernel, stride, pad])?;
         let channels = self.shape(input).channels;
         let [height, width] = window.to;
-        let work = match self.steps(input) {
+        let work = match self.quant_params(input) {
             Some(_) => Work::Pool { window, channels },
             None => Work::PoolF { window, channels },
         };
         let shape = Shape { height, width, channels };
-        Ok(self.push(work, [input; 2], shape, self.steps(input)))
+        Ok(self.push(work, [input; 2], shape, self.quant_params(input)))
     }
 
     /// Channels `first` to `first + channels` of a picture. Costs nothing.
@@ -198,7 +198,7 @@ impl Builder {
         first: usize,
         channels: usize,
     ) -> Result<Tensor, PlanError> {
-        let Picture { shape, steps, .. } = self.pictures[input.0].clone();
+        let Picture { shape, quant, .. } = self.pictures[input.0].clone();
         if first + channels > shape.channels {
             return refuse(format!(
                 "channels {first} to {} of {}",
@@ -206,14 +206,14 @@ impl Builder {
                 shape.channels
             ));
         }
-        let part = self.picture(Shape { channels, ..shape }, steps);
+        let part = self.picture(Shape { channels, ..shape }, quant);
         self.pictures[part.0].part_of = Some((input, first));
         Ok(part)
     }
 
     fn alike(&self, a: Tensor, b: Tensor) -> Result<(), PlanError> {
         let (a, b) = (&self.pictures[a.0], &self.pictures[b.0]);
-        if a.shape != b.shape || a.steps.is_some() != b.steps.is_some() {
+        if a.shape != b.shape || a.quant.is_some() != b.quant.is_some() {
             return refuse(format!("{:?} and {:?} together", a.shape, b.shape));
         }
         Ok(())
@@ -225,16 +225,16 @@ impl Builder {
     /// [`PlanError`] where shapes or steps differ.
     pub fn interleave(&mut self, a: Tensor, b: Tensor) -> Result<Tensor, PlanError> {
         self.alike(a, b)?;
-        let (shape, steps) = (self.shape(a), self.steps(a));
-        if steps != self.steps(b) {
+        let (shape, quant) = (self.shape(a), self.quant_params(a));
+        if quant != self.quant_params(b) {
             return refuse("a shuffle of halves with different scales");
         }
         let (channels, count) = (shape.channels, shape.pixels());
-        let work = match steps {
+        let work = match quant {
             Some(_) => Work::Interleave { channels, count },
             None => Work::InterleaveF { channels, count },
         };
-        Ok(self.push(work, [a, b], Shape { channels: 2 * channels, ..shape }, steps))
+        Ok(self.push(work, [a, b], Shape { channels: 2 * channels, ..shape }, quant))
     }
 
     /// Pictures behind one another, channel-wise. Costs nothing for pictures that can be
@@ -242,28 +242,32 @@ impl Builder {
     ///
     /// # Errors
     /// [`PlanError`] where sizes differ.
-    pub fn concat(&mut self, parts: &[Tensor], steps: Option<Steps>) -> Result<Tensor, PlanError> {
+    pub fn concat(
+        &mut self,
+        parts: &[Tensor],
+        quant: Option<QuantParams>,
+    ) -> Result<Tensor, PlanError> {
         let Some(&first) = parts.first() else { return refuse("a concatenation of nothing") };
         let shape = self.shape(first);
         for &part in parts {
             let Shape { height, width, .. } = self.shape(part);
-            let floats = self.steps(part).is_none();
-            if (height, width) != (shape.height, shape.width) || floats != steps.is_none() {
+            let floats = self.quant_params(part).is_none();
+            if (height, width) != (shape.height, shape.width) || floats != quant.is_none() {
                 return refuse(format!("{shape:?} and {:?} together", self.shape(part)));
             }
         }
         let channels = parts.iter().map(|&part| self.shape(part).channels).sum();
-        let whole = self.picture(Shape { channels, ..shape }, steps);
+        let whole = self.picture(Shape { channels, ..shape }, quant);
         let mut at = 0;
         for &part in parts {
             let place = &self.pictures[part.0];
             let (channels, own) = (place.shape.channels, place.part_of.is_none());
-            if own && place.steps == steps && part.0 != 0 {
+            if own && place.quant == quant && part.0 != 0 {
                 self.pictures[part.0].part_of = Some((whole, at));
             } else {
                 let to = self.slice(whole, at, channels)?;
-                let work = self.carry(part, steps);
-                self.steps.push((work, [part; 2], to));
+                let work = self.carry(part, quant);
+                self.ops.push((work, [part; 2], to));
             }
             at += channels;
         }
@@ -271,10 +275,10 @@ impl Builder {
     }
 
     /// The work of copying a picture to other steps.
-    fn carry(&self, part: Tensor, steps: Option<Steps>) -> Work {
+    fn carry(&self, part: Tensor, quant: Option<QuantParams>) -> Work {
         let picture = &self.pictures[part.0];
         let (channels, count) = (picture.shape.channels, picture.shape.pixels());
-        match (picture.steps, steps) {
+        match (picture.quant, quant) {
             (Some(from), Some(to)) if from != to => {
                 Work::Rescale { scale: rescale(from, to), channels, count }
             }
@@ -286,13 +290,13 @@ impl Builder {
     ///
     /// # Errors
     /// [`PlanError`] for floats.
-    pub fn requantise(&mut self, input: Tensor, steps: Steps) -> Result<Tensor, PlanError> {
-        match self.steps(input) {
+    pub fn requantise(&mut self, input: Tensor, quant: QuantParams) -> Result<Tensor, PlanError> {
+        match self.quant_params(input) {
             None => refuse("floats into steps"),
-            Some(from) if from == steps => Ok(input),
+            Some(from) if from == quant => Ok(input),
             Some(_) => {
-                let work = self.carry(input, Some(steps));
-                Ok(self.push(work, [input; 2], self.shape(input), Some(steps)))
+                let work = self.carry(input, Some(quant));
+                Ok(self.push(work, [input; 2], self.shape(input), Some(quant)))
             }
         }
     }
@@ -301,11 +305,16 @@ impl Builder {
     ///
     /// # Errors
     /// [`PlanError`] where shapes differ.
-    pub fn add(&mut self, a: Tensor, b: Tensor, steps: Option<Steps>) -> Result<Tensor, PlanError> {
+    pub fn add(
+        &mut self,
+        a: Tensor,
+        b: Tensor,
+        quant: Option<QuantParams>,
+    ) -> Result<Tensor, PlanError> {
         self.alike(a, b)?;
         let shape = self.shape(a);
         let (channels, count) = (shape.channels, shape.pixels());
-        let work = match (self.steps(a), self.steps(b), steps) {
+        let work = match (self.quant_params(a), self.quant_params(b), quant) {
             (Some(from), Some(other), Some(to)) => {
                 let scales = [rescale(from, to), rescale(other, to)];
                 Work::Add { scales, channels, count }
@@ -313,19 +322,19 @@ impl Builder {
             (None, None, None) => Work::AddF { channels, count },
             _ => return refuse("a sum of bytes and floats"),
         };
-        Ok(self.push(work, [a, b], shape, steps))
+        Ok(self.push(work, [a, b], shape, quant))
     }
 
     /// Twice as wide and high, linear between aligned pixel centres.
     pub fn double(&mut self, input: Tensor) -> Tensor {
-        let Picture { shape, steps, .. } = self.pictures[input.0].clone();
+        let Picture { shape, quant, .. } = self.pictures[input.0].clone();
         let (size, channels) = ([shape.height, shape.width], shape.channels);
-        let work = match steps {
+        let work = match quant {
             Some(_) => Work::Double { size, channels },
             None => Work::DoubleF { size, channels },
         };
         let shape = Shape { height: 2 * shape.height, width: 2 * shape.width, channels };
-        self.push(work, [input; 2], shape, steps)
+        self.push(work, [input; 2], shape, quant)
     }
 
     /// Lays out the memory. `outputs` are pictures of floats.
@@ -333,7 +342,7 @@ impl Builder {
     /// # Errors
     /// [`PlanError`] for an output of bytes.
     pub fn finish(self, outputs: &[Tensor]) -> Result<Net, PlanError> {
-        if outputs.iter().any(|&output| self.steps(output).is_some()) {
+        if outputs.iter().any(|&output| self.quant_params(output).is_some()) {
             return refuse("an output of bytes");
         }
         let (offsets, bytes) = lay_out(&self.blocks(outputs));
@@ -345,7 +354,7 @@ impl Builder {
                 stride: whole.shape.channels * whole.width(),
             }
         };
-        let steps = self.steps.iter().map(|(work, from, to)| Step {
+        let steps = self.ops.iter().map(|(work, from, to)| Step {
             work: work.clone(),
             from: from.map(place),
             to: place(*to),
@@ -356,7 +365,7 @@ impl Builder {
             steps: steps.collect(),
             input: place(Tensor(0)),
             shape: self.pictures[0].shape,
-            input_steps: self.pictures[0].steps,
+            input_quant: self.pictures[0].quant,
             outputs,
             arena: Arena::new(bytes, self.scratch),
         })
@@ -383,22 +392,22 @@ impl Builder {
             blocks[i] = Block { bytes, life: (first.min(at), last.max(at)) };
         };
         touch(Tensor(0), 0);
-        for (i, (_, from, to)) in self.steps.iter().enumerate() {
+        for (i, (_, from, to)) in self.ops.iter().enumerate() {
             for &tensor in from.iter().chain([to]) {
                 touch(tensor, i + 1);
             }
         }
         for &output in outputs {
-            touch(output, self.steps.len() + 1);
+            touch(output, self.ops.len() + 1);
         }
         blocks
     }
 }
 
-fn rescale(from: Steps, to: Steps) -> Rescale {
+fn rescale(from: QuantParams, to: QuantParams) -> Rescale {
     Rescale {
         factor: from.scale / to.scale,
-        zero_from: f32::from(from.zero),
-        zero_to: f32::from(to.zero),
+        zero_from: f32::from(from.zero_point),
+        zero_to: f32::from(to.zero_point),
     }
 }

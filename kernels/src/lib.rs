@@ -30,4 +30,4 @@ mod x86;
 pub use builder::{Builder, PlanError, Tensor};
 pub use isa::Isa;
 pub use net::{Net, Shape};
-pub use pack::{Conv, Steps, Weights};
+pub use pack::{Conv, QuantParams, Weights};

@@ -1,7 +1,7 @@
 //! A network that is ready to run, on memory of its own.
 
 use crate::isa::{Isa, with_lanes};
-use crate::pack::Steps;
+use crate::pack::QuantParams;
 use crate::step::{Arena, Place, Step, run};
 
 /// Height, width and channels of a picture.
@@ -28,7 +28,7 @@ pub struct Net {
     pub(crate) steps: Vec<Step>,
     pub(crate) input: Place,
     pub(crate) shape: Shape,
-    pub(crate) input_steps: Option<Steps>,
+    pub(crate) input_quant: Option<QuantParams>,
     pub(crate) outputs: Vec<(Place, Shape)>,
     pub(crate) arena: Arena,
 }
@@ -39,9 +39,9 @@ impl Net {
         self.isa
     }
 
-    /// Steps of the input, `None` for floats.
-    pub fn input_steps(&self) -> Option<Steps> {
-        self.input_steps
+    /// Quantisation of the input, `None` for floats.
+    pub fn input_quant(&self) -> Option<QuantParams> {
+        self.input_quant
     }
 
     /// Bytes of memory that pictures share.
@@ -56,7 +56,7 @@ impl Net {
     /// The input to fill before each run, row by row, pixel by pixel, channels last; empty
     /// for a network of floats.
     pub fn input_bytes(&mut self) -> &mut [u8] {
-        let len = if self.input_steps.is_some() { self.input_len() } else { 0 };
+        let len = if self.input_quant.is_some() { self.input_len() } else { 0 };
         let start = self.arena.pictures.as_mut_ptr().cast::<u8>();
         // SAFETY: the plan laid the input inside the arena, which is initialised.
         unsafe { std::slice::from_raw_parts_mut(start.add(self.input.offset), len) }
@@ -64,7 +64,7 @@ impl Net {
 
     /// The input of a network of floats; empty for one of bytes.
     pub fn input_floats(&mut self) -> &mut [f32] {
-        let len = if self.input_steps.is_none() { self.input_len() } else { 0 };
+        let len = if self.input_quant.is_none() { self.input_len() } else { 0 };
         let start = self.arena.pictures.as_mut_ptr().cast::<u8>();
         // SAFETY: as above; offsets are multiples of 64.
         unsafe { std::slice::from_raw_parts_mut(start.add(self.input.offset).cast(), len) }

@@ -26,7 +26,7 @@ impl<'a> Lowering<'a> {
     pub(super) fn rows(&self, value: Value) -> Result<Rows, Refusal> {
         match value {
             Value::Rows(rows) => Ok(rows),
-            Value::Picture(picture) if self.builder.steps(picture).is_none() => {
+            Value::Picture(picture) if self.builder.quant_params(picture).is_none() => {
                 let channels = self.builder.shape(picture).channels;
                 let (whole, first) = self.parts_of.get(&picture).copied().unwrap_or((picture, 0));
                 let parts = vec![Part::Raw(first..first + channels)];

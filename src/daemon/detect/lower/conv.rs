@@ -3,14 +3,14 @@
 use super::super::graph::{Values, attribute, int, ints, word};
 use super::super::onnx::NodeProto;
 use super::{Lowering, Refusal, Value, steps};
-use verge_kernels::{Conv, Steps, Weights};
+use verge_kernels::{Conv, QuantParams, Weights};
 
 /// What follows a convolution.
 #[derive(Debug, Default)]
 struct Behind {
-    before: Option<Steps>,
+    before: Option<QuantParams>,
     slope: Option<f32>,
-    out: Option<Steps>,
+    out: Option<QuantParams>,
 }
 
 impl<'a> Lowering<'a> {
@@ -47,7 +47,7 @@ impl<'a> Lowering<'a> {
             Some(many) => many.to_vec(),
             None => vec![1.0; len],
         };
-        let steps_in = self.builder.steps(input);
+        let steps_in = self.builder.quant_params(input);
         let conv = |weights| Conv {
             weights,
             channels,

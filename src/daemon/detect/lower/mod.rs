@@ -16,7 +16,7 @@ use super::onnx::{GraphProto, NodeProto, ValueInfoProto};
 use super::tail::Part;
 use cells::Rows;
 use std::collections::{HashMap, HashSet};
-use verge_kernels::{Builder, Isa, Net, Shape, Steps, Tensor};
+use verge_kernels::{Builder, Isa, Net, QuantParams, Shape, Tensor};
 
 /// A net on the kernels, and what its raw output means.
 #[derive(Debug)]
@@ -104,12 +104,12 @@ fn input_shape(input: &ValueInfoProto) -> Option<Shape> {
 }
 
 /// The steps of a QuantizeLinear or DequantizeLinear of a picture.
-fn steps(graph: &Graph<'_>, node: &NodeProto) -> Result<Steps, Refusal> {
+fn steps(graph: &Graph<'_>, node: &NodeProto) -> Result<QuantParams, Refusal> {
     let scale = node.input.get(1).and_then(|name| graph.floats(name));
     let zero = node.input.get(2).and_then(|name| graph.constant(name));
     match (scale, zero.map(|zero| &zero.values)) {
         (Some([scale]), Some(Values::U8(zero))) if zero.len() == 1 && scale.is_normal() => {
-            Ok(Steps { scale: *scale, zero: zero[0] })
+            Ok(QuantParams { scale: *scale, zero_point: zero[0] })
         }
         _ => Err("steps that are not one scale and one unsigned byte".to_owned()),
     }
@@ -149,7 +149,7 @@ impl<'a> Lowering<'a> {
     }
 
     /// The steps that the node's output is stored in: those of the QuantizeLinear behind it.
-    fn out_steps(&self, output: &str) -> Result<Option<Steps>, Refusal> {
+    fn out_steps(&self, output: &str) -> Result<Option<QuantParams>, Refusal> {
         match self.graph.sole_reader(output) {
             Some((_, reader)) if !self.float && reader.op_type == "QuantizeLinear" => {
                 steps(self.graph, reader).map(Some)

@@ -6,7 +6,7 @@ use crate::moves::Rescale;
 use crate::net::{Net, Shape};
 use crate::pack::{Conv, QuantParams, Weights};
 use crate::pixels::Window;
-use crate::step::{Arena, BEHIND, Place, Step, Work};
+use crate::step::{Arena, BEHIND, Op, Place, Step};
 
 /// A picture of the network that is put together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -50,7 +50,7 @@ impl Picture {
 pub struct Builder {
     isa: Isa,
     pictures: Vec<Picture>,
-    ops: Vec<(Work, [Tensor; 2], Tensor)>,
+    ops: Vec<(Op, [Tensor; 2], Tensor)>,
     scratch: usize,
 }
 
@@ -80,13 +80,13 @@ impl Builder {
 
     fn push(
         &mut self,
-        work: Work,
+        op: Op,
         from: [Tensor; 2],
         shape: Shape,
         quant: Option<QuantParams>,
     ) -> Tensor {
         let to = self.picture(shape, quant);
-        self.ops.push((work, from, to));
+        self.ops.push((op, from, to));
         to
     }
 
@@ -133,7 +133,7 @@ impl Builder {
         let one = conv.kernel == 1 && conv.stride == 1 && conv.pad == 0;
         let (channels, count) = (shape.channels, out.pixels());
         let lanes = traits(self.isa).0;
-        let (work, scratch) = match (conv.weights, quant) {
+        let (op, scratch) = match (conv.weights, quant) {
             (Weights::Int8 { values, scales, bias }, Some(quant)) => {
                 let packed = conv.pack(self.isa, quant, channels, values, scales, bias);
                 let outside = quant.zero_point;
@@ -141,29 +141,29 @@ impl Builder {
                     let padded = channels.next_multiple_of(lanes);
                     let column = conv.kernel.div_ceil(4) * 4 * padded;
                     let scratch = (shape.width + 2 * conv.pad) * column;
-                    (Work::Depthwise { packed, window, outside }, scratch)
+                    (Op::Depthwise { packed, window, outside }, scratch)
                 } else if one {
-                    (Work::Product { packed, count }, 0)
+                    (Op::Product { packed, count }, 0)
                 } else {
                     let scratch = width * 4 * packed.fours;
-                    (Work::Dense { packed, window, channels, outside }, scratch)
+                    (Op::Dense { packed, window, channels, outside }, scratch)
                 }
             }
             (Weights::Float { values, bias }, None) if conv.out.is_none() => {
                 let packed = conv.pack_f(self.isa, channels, values, bias);
                 if conv.depthwise {
-                    (Work::DepthwiseF { packed, window }, 0)
+                    (Op::DepthwiseF { packed, window }, 0)
                 } else if one {
-                    (Work::ProductF { packed, count }, 0)
+                    (Op::ProductF { packed, count }, 0)
                 } else {
                     let scratch = width * 4 * packed.inputs;
-                    (Work::DenseF { packed, window, channels }, scratch)
+                    (Op::DenseF { packed, window, channels }, scratch)
                 }
             }
             _ => return refuse("weights of another kind than the picture"),
         };
         self.scratch = self.scratch.max(scratch);
-        Ok(self.push(work, [input; 2], out, conv.out))
+        Ok(self.push(op, [input; 2], out, conv.out))
     }
 
     /// The largest value under each window.
@@ -180,12 +180,12 @@ impl Builder {
         let window = self.window(input, [kernel, stride, pad])?;
         let channels = self.shape(input).channels;
         let [height, width] = window.to;
-        let work = match self.quant_params(input) {
-            Some(_) => Work::Pool { window, channels },
-            None => Work::PoolF { window, channels },
+        let op = match self.quant_params(input) {
+            Some(_) => Op::Pool { window, channels },
+            None => Op::PoolF { window, channels },
         };
         let shape = Shape { height, width, channels };
-        Ok(self.push(work, [input; 2], shape, self.quant_params(input)))
+        Ok(self.push(op, [input; 2], shape, self.quant_params(input)))
     }
 
     /// Channels `first` to `first + channels` of a picture. Costs nothing.
@@ -230,11 +230,11 @@ impl Builder {
             return refuse("a shuffle of halves with different scales");
         }
         let (channels, count) = (shape.channels, shape.pixels());
-        let work = match quant {
-            Some(_) => Work::Interleave { channels, count },
-            None => Work::InterleaveF { channels, count },
+        let op = match quant {
+            Some(_) => Op::Interleave { channels, count },
+            None => Op::InterleaveF { channels, count },
         };
-        Ok(self.push(work, [a, b], Shape { channels: 2 * channels, ..shape }, quant))
+        Ok(self.push(op, [a, b], Shape { channels: 2 * channels, ..shape }, quant))
     }
 
     /// Pictures behind one another, channel-wise. Costs nothing for pictures that can be
@@ -266,8 +266,8 @@ impl Builder {
                 self.pictures[part.0].part_of = Some((whole, at));
             } else {
                 let to = self.slice(whole, at, channels)?;
-                let work = self.carry(part, quant);
-                self.ops.push((work, [part; 2], to));
+                let op = self.carry(part, quant);
+                self.ops.push((op, [part; 2], to));
             }
             at += channels;
         }
@@ -275,14 +275,14 @@ impl Builder {
     }
 
     /// The work of copying a picture to other steps.
-    fn carry(&self, part: Tensor, quant: Option<QuantParams>) -> Work {
+    fn carry(&self, part: Tensor, quant: Option<QuantParams>) -> Op {
         let picture = &self.pictures[part.0];
         let (channels, count) = (picture.shape.channels, picture.shape.pixels());
         match (picture.quant, quant) {
             (Some(from), Some(to)) if from != to => {
-                Work::Rescale { scale: rescale(from, to), channels, count }
+                Op::Rescale { scale: rescale(from, to), channels, count }
             }
-            _ => Work::Copy { bytes: channels * picture.width(), count },
+            _ => Op::Copy { bytes: channels * picture.width(), count },
         }
     }
 
@@ -295,8 +295,8 @@ impl Builder {
             None => refuse("floats into steps"),
             Some(from) if from == quant => Ok(input),
             Some(_) => {
-                let work = self.carry(input, Some(quant));
-                Ok(self.push(work, [input; 2], self.shape(input), Some(quant)))
+                let op = self.carry(input, Some(quant));
+                Ok(self.push(op, [input; 2], self.shape(input), Some(quant)))
             }
         }
     }
@@ -314,27 +314,27 @@ impl Builder {
         self.alike(a, b)?;
         let shape = self.shape(a);
         let (channels, count) = (shape.channels, shape.pixels());
-        let work = match (self.quant_params(a), self.quant_params(b), quant) {
+        let op = match (self.quant_params(a), self.quant_params(b), quant) {
             (Some(from), Some(other), Some(to)) => {
                 let scales = [rescale(from, to), rescale(other, to)];
-                Work::Add { scales, channels, count }
+                Op::Add { scales, channels, count }
             }
-            (None, None, None) => Work::AddF { channels, count },
+            (None, None, None) => Op::AddF { channels, count },
             _ => return refuse("a sum of bytes and floats"),
         };
-        Ok(self.push(work, [a, b], shape, quant))
+        Ok(self.push(op, [a, b], shape, quant))
     }
 
     /// Twice as wide and high, linear between aligned pixel centres.
     pub fn double(&mut self, input: Tensor) -> Tensor {
         let Picture { shape, quant, .. } = self.pictures[input.0].clone();
         let (size, channels) = ([shape.height, shape.width], shape.channels);
-        let work = match quant {
-            Some(_) => Work::Double { size, channels },
-            None => Work::DoubleF { size, channels },
+        let op = match quant {
+            Some(_) => Op::Double { size, channels },
+            None => Op::DoubleF { size, channels },
         };
         let shape = Shape { height: 2 * shape.height, width: 2 * shape.width, channels };
-        self.push(work, [input; 2], shape, quant)
+        self.push(op, [input; 2], shape, quant)
     }
 
     /// Lays out the memory. `outputs` are pictures of floats.
@@ -354,8 +354,8 @@ impl Builder {
                 stride: whole.shape.channels * whole.width(),
             }
         };
-        let steps = self.ops.iter().map(|(work, from, to)| Step {
-            work: work.clone(),
+        let steps = self.ops.iter().map(|(op, from, to)| Step {
+            op: op.clone(),
             from: from.map(place),
             to: place(*to),
         });

@@ -87,7 +87,7 @@ impl Net {
             let begun = std::time::Instant::now();
             // SAFETY: as in `run`.
             unsafe { with_lanes!(self.isa, run(step, arena)) }
-            told(step.work.name(), begun.elapsed());
+            told(step.op.name(), begun.elapsed());
         }
     }
 

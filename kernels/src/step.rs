@@ -18,7 +18,7 @@ pub(crate) struct Place {
 
 /// What a step does.
 #[derive(Clone, Debug)]
-pub(crate) enum Work {
+pub(crate) enum Op {
     Product {
         packed: Packed,
         count: usize,
@@ -92,7 +92,7 @@ pub(crate) enum Work {
     },
 }
 
-impl Work {
+impl Op {
     /// For reports.
     pub(crate) fn name(&self) -> &'static str {
         match self {
@@ -118,7 +118,7 @@ impl Work {
 /// A step with its places. A step of one input names it twice.
 #[derive(Clone, Debug)]
 pub(crate) struct Step {
-    pub work: Work,
+    pub op: Op,
     pub from: [Place; 2],
     pub to: Place,
 }
@@ -164,14 +164,14 @@ pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
             stride: place.stride / 4,
         };
         let (a, b) = (step.from[0], step.from[1]);
-        match &step.work {
-            Work::Product { packed, count } => {
+        match &step.op {
+            Op::Product { packed, count } => {
                 product::<S, _>(packed, bytes(a), bytes(step.to), *count);
             }
-            Work::ProductF { packed, count } => {
+            Op::ProductF { packed, count } => {
                 product::<S, _>(packed, floats(a), floats(step.to), *count);
             }
-            Work::Dense { packed, window, channels, outside } => {
+            Op::Dense { packed, window, channels, outside } => {
                 let width = 4 * packed.fours;
                 let rows = Pixels { start: scratch, stride: width };
                 for y in 0..window.to[0] {
@@ -180,7 +180,7 @@ pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
                     product::<S, _>(packed, rows, to, window.to[1]);
                 }
             }
-            Work::DenseF { packed, window, channels } => {
+            Op::DenseF { packed, window, channels } => {
                 let width = packed.inputs;
                 let scratch = scratch.cast::<f32>();
                 let rows = Pixels { start: scratch, stride: width };
@@ -190,41 +190,41 @@ pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
                     product::<S, _>(packed, rows, to, window.to[1]);
                 }
             }
-            Work::Depthwise { packed, window, outside } => {
+            Op::Depthwise { packed, window, outside } => {
                 depthwise::<S>(packed, window, bytes(a), bytes(step.to), *outside, scratch);
             }
-            Work::DepthwiseF { packed, window } => {
+            Op::DepthwiseF { packed, window } => {
                 depthwise_f::<S>(packed, window, floats(a), floats(step.to));
             }
-            Work::Pool { window, channels } => {
+            Op::Pool { window, channels } => {
                 moves::pool(window, *channels, 0u8, bytes(a), bytes(step.to));
             }
-            Work::PoolF { window, channels } => {
+            Op::PoolF { window, channels } => {
                 let least = f32::NEG_INFINITY;
                 moves::pool(window, *channels, least, floats(a), floats(step.to));
             }
-            Work::Interleave { channels, count } => {
+            Op::Interleave { channels, count } => {
                 moves::interleave(bytes(a), bytes(b), bytes(step.to), *channels, *count);
             }
-            Work::InterleaveF { channels, count } => {
+            Op::InterleaveF { channels, count } => {
                 moves::interleave(floats(a), floats(b), floats(step.to), *channels, *count);
             }
-            Work::Copy { bytes: width, count } => {
+            Op::Copy { bytes: width, count } => {
                 moves::copy(bytes(a), bytes(step.to), *width, *count);
             }
-            Work::Rescale { scale, channels, count } => {
+            Op::Rescale { scale, channels, count } => {
                 moves::rescale(*scale, bytes(a), bytes(step.to), *channels, *count);
             }
-            Work::Add { scales, channels, count } => {
+            Op::Add { scales, channels, count } => {
                 moves::add(*scales, [bytes(a), bytes(b)], bytes(step.to), *channels, *count);
             }
-            Work::AddF { channels, count } => {
+            Op::AddF { channels, count } => {
                 moves::add_f([floats(a), floats(b)], floats(step.to), *channels, *count);
             }
-            Work::Double { size, channels } => {
+            Op::Double { size, channels } => {
                 moves::double(*size, *channels, bytes(a), bytes(step.to));
             }
-            Work::DoubleF { size, channels } => {
+            Op::DoubleF { size, channels } => {
                 moves::double(*size, *channels, floats(a), floats(step.to));
             }
         }

@@ -8,7 +8,7 @@ use crate::pack::{Conv, QuantParams, Weights};
 use crate::pixels::Window;
 use crate::step::{Arena, BEHIND, Op, Place, Step};
 
-/// A picture of the network that is put together.
+/// An activation of the network that is put together: pixels with their channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Tensor(usize);
 
@@ -31,15 +31,15 @@ fn refuse<T>(reason: impl Into<String>) -> Result<T, PlanError> {
 }
 
 #[derive(Clone, Debug)]
-struct Picture {
+struct Activation {
     shape: Shape,
     /// `None`: floats.
     quant: Option<QuantParams>,
-    /// Some channels of another picture, from one on.
+    /// Some channels of another activation, from one on.
     part_of: Option<(Tensor, usize)>,
 }
 
-impl Picture {
+impl Activation {
     fn width(&self) -> usize {
         if self.quant.is_some() { 1 } else { 4 }
     }
@@ -49,7 +49,7 @@ impl Picture {
 #[derive(Debug)]
 pub struct Builder {
     isa: Isa,
-    pictures: Vec<Picture>,
+    activations: Vec<Activation>,
     ops: Vec<(Op, [Tensor; 2], Tensor)>,
     scratch: usize,
 }
@@ -58,24 +58,24 @@ impl Builder {
     /// Starts with the input. `quant`: bytes; without: floats.
     pub fn new(isa: Isa, input: Shape, quant: Option<QuantParams>) -> (Self, Tensor) {
         let isa = if isa.is_here() { isa } else { Isa::Portable };
-        let mut builder = Self { isa, pictures: Vec::new(), ops: Vec::new(), scratch: 0 };
-        let input = builder.picture(input, quant);
+        let mut builder = Self { isa, activations: Vec::new(), ops: Vec::new(), scratch: 0 };
+        let input = builder.activation(input, quant);
         (builder, input)
     }
 
-    /// Shape of a picture.
+    /// Shape of an activation.
     pub fn shape(&self, of: Tensor) -> Shape {
-        self.pictures[of.0].shape
+        self.activations[of.0].shape
     }
 
-    /// Quantisation of a picture of bytes.
+    /// Quantisation of an activation of bytes.
     pub fn quant_params(&self, of: Tensor) -> Option<QuantParams> {
-        self.pictures[of.0].quant
+        self.activations[of.0].quant
     }
 
-    fn picture(&mut self, shape: Shape, quant: Option<QuantParams>) -> Tensor {
-        self.pictures.push(Picture { shape, quant, part_of: None });
-        Tensor(self.pictures.len() - 1)
+    fn activation(&mut self, shape: Shape, quant: Option<QuantParams>) -> Tensor {
+        self.activations.push(Activation { shape, quant, part_of: None });
+        Tensor(self.activations.len() - 1)
     }
 
     fn push(
@@ -85,7 +85,7 @@ impl Builder {
         shape: Shape,
         quant: Option<QuantParams>,
     ) -> Tensor {
-        let to = self.picture(shape, quant);
+        let to = self.activation(shape, quant);
         self.ops.push((op, from, to));
         to
     }
@@ -112,7 +112,7 @@ impl Builder {
     /// # Errors
     /// [`PlanError`] where there is no kernel for it or lengths do not fit.
     pub fn conv(&mut self, input: Tensor, conv: &Conv<'_>) -> Result<Tensor, PlanError> {
-        let Picture { shape, quant, .. } = self.pictures[input.0].clone();
+        let Activation { shape, quant, .. } = self.activations[input.0].clone();
         let window = self.window(input, [conv.kernel, conv.stride, conv.pad])?;
         if conv.depthwise && (conv.channels != shape.channels || ![3, 5].contains(&conv.kernel)) {
             return refuse(format!(
@@ -160,7 +160,7 @@ impl Builder {
                     (Op::DenseF { packed, window, channels }, scratch)
                 }
             }
-            _ => return refuse("weights of another kind than the picture"),
+            _ => return refuse("weights of another kind than the activation"),
         };
         self.scratch = self.scratch.max(scratch);
         Ok(self.push(op, [input; 2], out, conv.out))
@@ -188,7 +188,7 @@ impl Builder {
         Ok(self.push(op, [input; 2], shape, self.quant_params(input)))
     }
 
-    /// Channels `first` to `first + channels` of a picture. Costs nothing.
+    /// Channels `first` to `first + channels` of an activation. Costs nothing.
     ///
     /// # Errors
     /// [`PlanError`] where it has fewer.
@@ -198,7 +198,7 @@ impl Builder {
         first: usize,
         channels: usize,
     ) -> Result<Tensor, PlanError> {
-        let Picture { shape, quant, .. } = self.pictures[input.0].clone();
+        let Activation { shape, quant, .. } = self.activations[input.0].clone();
         if first + channels > shape.channels {
             return refuse(format!(
                 "channels {first} to {} of {}",
@@ -206,13 +206,13 @@ impl Builder {
                 shape.channels
             ));
         }
-        let part = self.picture(Shape { channels, ..shape }, quant);
-        self.pictures[part.0].part_of = Some((input, first));
+        let part = self.activation(Shape { channels, ..shape }, quant);
+        self.activations[part.0].part_of = Some((input, first));
         Ok(part)
     }
 
     fn alike(&self, a: Tensor, b: Tensor) -> Result<(), PlanError> {
-        let (a, b) = (&self.pictures[a.0], &self.pictures[b.0]);
+        let (a, b) = (&self.activations[a.0], &self.activations[b.0]);
         if a.shape != b.shape || a.quant.is_some() != b.quant.is_some() {
             return refuse(format!("{:?} and {:?} together", a.shape, b.shape));
         }
@@ -237,7 +237,7 @@ impl Builder {
         Ok(self.push(op, [a, b], Shape { channels: 2 * channels, ..shape }, quant))
     }
 
-    /// Pictures behind one another, channel-wise. Costs nothing for pictures that can be
+    /// Activations behind one another, channel-wise. Costs nothing for activations that can be
     /// written where they will lie.
     ///
     /// # Errors
@@ -257,13 +257,13 @@ impl Builder {
             }
         }
         let channels = parts.iter().map(|&part| self.shape(part).channels).sum();
-        let whole = self.picture(Shape { channels, ..shape }, quant);
+        let whole = self.activation(Shape { channels, ..shape }, quant);
         let mut at = 0;
         for &part in parts {
-            let place = &self.pictures[part.0];
+            let place = &self.activations[part.0];
             let (channels, own) = (place.shape.channels, place.part_of.is_none());
             if own && place.quant == quant && part.0 != 0 {
-                self.pictures[part.0].part_of = Some((whole, at));
+                self.activations[part.0].part_of = Some((whole, at));
             } else {
                 let to = self.slice(whole, at, channels)?;
                 let op = self.carry(part, quant);
@@ -274,19 +274,19 @@ impl Builder {
         Ok(whole)
     }
 
-    /// The work of copying a picture to other steps.
+    /// The work of copying an activation to other steps.
     fn carry(&self, part: Tensor, quant: Option<QuantParams>) -> Op {
-        let picture = &self.pictures[part.0];
-        let (channels, count) = (picture.shape.channels, picture.shape.pixels());
-        match (picture.quant, quant) {
+        let activation = &self.activations[part.0];
+        let (channels, count) = (activation.shape.channels, activation.shape.pixels());
+        match (activation.quant, quant) {
             (Some(from), Some(to)) if from != to => {
                 Op::Rescale { scale: rescale(from, to), channels, count }
             }
-            _ => Op::Copy { bytes: channels * picture.width(), count },
+            _ => Op::Copy { bytes: channels * activation.width(), count },
         }
     }
 
-    /// The picture in other steps.
+    /// The activation in other steps.
     ///
     /// # Errors
     /// [`PlanError`] for floats.
@@ -301,7 +301,7 @@ impl Builder {
         }
     }
 
-    /// The sum of two pictures.
+    /// The sum of two activations.
     ///
     /// # Errors
     /// [`PlanError`] where shapes differ.
@@ -327,7 +327,7 @@ impl Builder {
 
     /// Twice as wide and high, linear between aligned pixel centres.
     pub fn double(&mut self, input: Tensor) -> Tensor {
-        let Picture { shape, quant, .. } = self.pictures[input.0].clone();
+        let Activation { shape, quant, .. } = self.activations[input.0].clone();
         let (size, channels) = ([shape.height, shape.width], shape.channels);
         let op = match quant {
             Some(_) => Op::Double { size, channels },
@@ -337,7 +337,7 @@ impl Builder {
         self.push(op, [input; 2], shape, quant)
     }
 
-    /// Lays out the memory. `outputs` are pictures of floats.
+    /// Lays out the memory. `outputs` are activations of floats.
     ///
     /// # Errors
     /// [`PlanError`] for an output of bytes.
@@ -348,7 +348,7 @@ impl Builder {
         let (offsets, bytes) = lay_out(&self.blocks(outputs));
         let place = |tensor: Tensor| {
             let (at, first) = self.whole(tensor);
-            let whole = &self.pictures[at.0];
+            let whole = &self.activations[at.0];
             Place {
                 offset: offsets[at.0] + first * whole.width(),
                 stride: whole.shape.channels * whole.width(),
@@ -364,30 +364,30 @@ impl Builder {
             isa: self.isa,
             steps: steps.collect(),
             input: place(Tensor(0)),
-            shape: self.pictures[0].shape,
-            input_quant: self.pictures[0].quant,
+            shape: self.activations[0].shape,
+            input_quant: self.activations[0].quant,
             outputs,
             arena: Arena::new(bytes, self.scratch),
         })
     }
 
-    /// The picture that `tensor` is a part of, and its first channel there.
+    /// The activation that `tensor` is a part of, and its first channel there.
     fn whole(&self, tensor: Tensor) -> (Tensor, usize) {
         let (mut at, mut first) = (tensor, 0);
-        while let Some((whole, from)) = self.pictures[at.0].part_of {
+        while let Some((whole, from)) = self.activations[at.0].part_of {
             (at, first) = (whole, first + from);
         }
         (at, first)
     }
 
-    /// What each picture takes of the memory; parts of others nothing.
+    /// What each activation takes of the memory; parts of others nothing.
     fn blocks(&self, outputs: &[Tensor]) -> Vec<Block> {
-        let mut blocks = vec![Block { bytes: 0, life: (usize::MAX, 0) }; self.pictures.len()];
+        let mut blocks = vec![Block { bytes: 0, life: (usize::MAX, 0) }; self.activations.len()];
         let mut touch = |tensor: Tensor, at: usize| {
             let (Tensor(i), _) = self.whole(tensor);
-            let picture = &self.pictures[i];
-            let values = picture.shape.pixels() * picture.shape.channels;
-            let bytes = (values * picture.width() + BEHIND).next_multiple_of(64);
+            let activation = &self.activations[i];
+            let values = activation.shape.pixels() * activation.shape.channels;
+            let bytes = (values * activation.width() + BEHIND).next_multiple_of(64);
             let (first, last) = blocks[i].life;
             blocks[i] = Block { bytes, life: (first.min(at), last.max(at)) };
         };

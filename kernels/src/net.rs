@@ -4,7 +4,7 @@ use crate::isa::{Isa, with_lanes};
 use crate::pack::QuantParams;
 use crate::step::{Arena, Place, Step, run};
 
-/// Height, width and channels of a picture.
+/// Height, width and channels of an activation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Rows.
@@ -44,9 +44,9 @@ impl Net {
         self.input_quant
     }
 
-    /// Bytes of memory that pictures share.
+    /// Bytes of memory that activations share.
     pub fn memory(&self) -> usize {
-        (self.arena.pictures.len() + self.arena.scratch.len()) * 64
+        (self.arena.activations.len() + self.arena.scratch.len()) * 64
     }
 
     fn input_len(&self) -> usize {
@@ -57,7 +57,7 @@ impl Net {
     /// for a network of floats.
     pub fn input_bytes(&mut self) -> &mut [u8] {
         let len = if self.input_quant.is_some() { self.input_len() } else { 0 };
-        let start = self.arena.pictures.as_mut_ptr().cast::<u8>();
+        let start = self.arena.activations.as_mut_ptr().cast::<u8>();
         // SAFETY: the plan laid the input inside the arena, which is initialised.
         unsafe { std::slice::from_raw_parts_mut(start.add(self.input.offset), len) }
     }
@@ -65,7 +65,7 @@ impl Net {
     /// The input of a network of floats; empty for one of bytes.
     pub fn input_floats(&mut self) -> &mut [f32] {
         let len = if self.input_quant.is_none() { self.input_len() } else { 0 };
-        let start = self.arena.pictures.as_mut_ptr().cast::<u8>();
+        let start = self.arena.activations.as_mut_ptr().cast::<u8>();
         // SAFETY: as above; offsets are multiples of 64.
         unsafe { std::slice::from_raw_parts_mut(start.add(self.input.offset).cast(), len) }
     }
@@ -94,7 +94,7 @@ impl Net {
     /// Output `index`: pixels with their channels.
     pub fn output(&self, index: usize) -> impl Iterator<Item = &[f32]> {
         let (place, shape) = self.outputs[index];
-        let start = self.arena.pictures.as_ptr().cast::<u8>();
+        let start = self.arena.activations.as_ptr().cast::<u8>();
         (0..shape.pixels()).map(move |i| {
             // SAFETY: the plan laid the output inside the arena, and nothing over it.
             unsafe {

@@ -2,7 +2,7 @@
 
 use crate::isa::{Isa, traits};
 
-/// The scale that a picture of bytes counts in: `value = (byte - zero_point) * scale`.
+/// The scale that an activation of bytes counts in: `value = (byte - zero_point) * scale`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QuantParams {
     /// Value of one step, over 0.
@@ -32,7 +32,7 @@ pub enum Weights<'a> {
     },
 }
 
-/// A convolution with what follows it up to the next stored picture.
+/// A convolution with what follows it up to the next stored activation.
 #[derive(Clone, Copy, Debug)]
 pub struct Conv<'a> {
     /// Weights and biases.

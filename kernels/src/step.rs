@@ -9,7 +9,7 @@ use crate::pack::{Packed, PackedF};
 use crate::pixels::{Pixels, Window, windows};
 use crate::product::product;
 
-/// Where a picture lies: first byte, and bytes from pixel to pixel.
+/// Where an activation lies: first byte, and bytes from pixel to pixel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
     pub offset: usize,
@@ -123,11 +123,11 @@ pub(crate) struct Step {
     pub to: Place,
 }
 
-/// All pictures of a network, and what a step needs for itself.
+/// All activations of a network, and what a step needs for itself.
 #[derive(Clone, Debug)]
 pub(crate) struct Arena {
     /// 64 bytes each, so that vectors lie in one line of the cache.
-    pub pictures: Vec<Line>,
+    pub activations: Vec<Line>,
     pub scratch: Vec<Line>,
 }
 
@@ -136,14 +136,14 @@ pub(crate) struct Arena {
 #[repr(C, align(64))]
 pub(crate) struct Line(pub [u8; 64]);
 
-/// Bytes that must be readable behind the last picture: a vector.
+/// Bytes that must be readable behind the last activation: a vector.
 pub(crate) const BEHIND: usize = 64;
 
 impl Arena {
     /// Of as many bytes.
-    pub(crate) fn new(pictures: usize, scratch: usize) -> Self {
+    pub(crate) fn new(activations: usize, scratch: usize) -> Self {
         let lines = |bytes: usize| vec![Line([0; 64]); (bytes + BEHIND).div_ceil(64) + 1];
-        Self { pictures: lines(pictures), scratch: lines(scratch) }
+        Self { activations: lines(activations), scratch: lines(scratch) }
     }
 }
 
@@ -153,14 +153,14 @@ impl Arena {
 /// The processor has the instructions of `S`; `step` was planned for this arena and `S`.
 #[inline(always)]
 pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
-    let pictures = arena.pictures.as_mut_ptr().cast::<u8>();
+    let activations = arena.activations.as_mut_ptr().cast::<u8>();
     let scratch = arena.scratch.as_mut_ptr().cast::<u8>();
     // SAFETY: the plan laid the places inside the arena, and outputs apart from inputs.
     unsafe {
         let bytes =
-            |place: Place| Pixels { start: pictures.add(place.offset), stride: place.stride };
+            |place: Place| Pixels { start: activations.add(place.offset), stride: place.stride };
         let floats = |place: Place| Pixels {
-            start: pictures.add(place.offset).cast::<f32>(),
+            start: activations.add(place.offset).cast::<f32>(),
             stride: place.stride / 4,
         };
         let (a, b) = (step.from[0], step.from[1]);

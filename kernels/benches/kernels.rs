@@ -78,8 +78,8 @@ fn done(mut builder: Builder, out: Tensor) -> Net {
 }
 
 fn run(bencher: Bencher<'_, '_>, mut net: Net) {
-    net.input_bytes().fill(90);
-    net.input_floats().fill(0.5);
+    net.input_bytes(0).fill(90);
+    net.input_floats(0).fill(0.5);
     bencher.bench_local(|| net.run());
 }
 

@@ -3,10 +3,11 @@
 use crate::isa::{Isa, traits};
 use crate::layout::{Block, lay_out};
 use crate::moves::Rescale;
-use crate::net::{Net, Shape};
+use crate::net::{Net, Port, Program, Shape};
 use crate::pack::{Conv, QuantParams, Weights};
 use crate::pixels::Window;
-use crate::step::{Arena, BEHIND, Op, Place, Step};
+use crate::step::{BEHIND, Op, Place, Step};
+use std::sync::Arc;
 
 /// An activation of the network that is put together: pixels with their channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -50,17 +51,31 @@ impl Activation {
 pub struct Builder {
     isa: Isa,
     activations: Vec<Activation>,
+    inputs: Vec<Tensor>,
     ops: Vec<(Op, [Tensor; 2], Tensor)>,
     scratch: usize,
 }
 
 impl Builder {
-    /// Starts with the input. `quant`: bytes; without: floats.
-    pub fn new(isa: Isa, input: Shape, quant: Option<QuantParams>) -> (Self, Tensor) {
+    /// Starts with nothing.
+    pub fn on(isa: Isa) -> Self {
         let isa = if isa.is_here() { isa } else { Isa::Portable };
-        let mut builder = Self { isa, activations: Vec::new(), ops: Vec::new(), scratch: 0 };
-        let input = builder.activation(input, quant);
+        let (activations, inputs, ops) = (Vec::new(), Vec::new(), Vec::new());
+        Self { isa, activations, inputs, ops, scratch: 0 }
+    }
+
+    /// Starts with an input. `quant`: bytes; without: floats.
+    pub fn new(isa: Isa, input: Shape, quant: Option<QuantParams>) -> (Self, Tensor) {
+        let mut builder = Self::on(isa);
+        let input = builder.input(input, quant);
         (builder, input)
+    }
+
+    /// An input, which is filled before each run.
+    pub fn input(&mut self, shape: Shape, quant: Option<QuantParams>) -> Tensor {
+        let input = self.activation(shape, quant);
+        self.inputs.push(input);
+        input
     }
 
     /// Shape of an activation.
@@ -262,7 +277,7 @@ impl Builder {
         for &part in parts {
             let place = &self.activations[part.0];
             let (channels, own) = (place.shape.channels, place.part_of.is_none());
-            if own && place.quant == quant && part.0 != 0 {
+            if own && place.quant == quant && !self.inputs.contains(&part) {
                 self.activations[part.0].part_of = Some((whole, at));
             } else {
                 let to = self.slice(whole, at, channels)?;
@@ -337,13 +352,13 @@ impl Builder {
         self.push(op, [input; 2], shape, quant)
     }
 
-    /// Lays out the memory. `outputs` are activations of floats.
+    /// Lays out the memory.
     ///
     /// # Errors
-    /// [`PlanError`] for an output of bytes.
+    /// [`PlanError`] where there is no output.
     pub fn finish(self, outputs: &[Tensor]) -> Result<Net, PlanError> {
-        if outputs.iter().any(|&output| self.quant_params(output).is_some()) {
-            return refuse("an output of bytes");
+        if outputs.is_empty() {
+            return refuse("a network without an output");
         }
         let (offsets, bytes) = lay_out(&self.blocks(outputs));
         let place = |tensor: Tensor| {
@@ -359,16 +374,19 @@ impl Builder {
             from: from.map(place),
             to: place(*to),
         });
-        let outputs = outputs.iter().map(|&output| (place(output), self.shape(output))).collect();
-        Ok(Net {
+        let port = |&tensor: &Tensor| Port {
+            place: place(tensor),
+            shape: self.shape(tensor),
+            quant: self.quant_params(tensor),
+        };
+        Ok(Net::new(Arc::new(Program {
             isa: self.isa,
             steps: steps.collect(),
-            input: place(Tensor(0)),
-            shape: self.activations[0].shape,
-            input_quant: self.activations[0].quant,
-            outputs,
-            arena: Arena::new(bytes, self.scratch),
-        })
+            inputs: self.inputs.iter().map(port).collect(),
+            outputs: outputs.iter().map(port).collect(),
+            activations: bytes,
+            scratch: self.scratch,
+        })))
     }
 
     /// The activation that `tensor` is a part of, and its first channel there.
@@ -391,7 +409,9 @@ impl Builder {
             let (first, last) = blocks[i].life;
             blocks[i] = Block { bytes, life: (first.min(at), last.max(at)) };
         };
-        touch(Tensor(0), 0);
+        for &input in &self.inputs {
+            touch(input, 0);
+        }
         for (i, (_, from, to)) in self.ops.iter().enumerate() {
             for &tensor in from.iter().chain([to]) {
                 touch(tensor, i + 1);

@@ -10,6 +10,8 @@
 //! vector instructions and the pointers that they need.
 
 mod builder;
+#[cfg(any(debug_assertions, test))]
+mod contract;
 mod depthwise;
 mod finish;
 mod isa;

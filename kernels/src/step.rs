@@ -3,7 +3,8 @@
 //! Owns what a step names and the only place where offsets become pointers.
 
 use crate::depthwise::{depthwise, depthwise_f};
-use crate::lanes::Lanes;
+use crate::isa::Isa;
+use crate::lanes::{Lanes, Portable};
 use crate::moves::{self, Rescale};
 use crate::pack::{Packed, PackedF};
 use crate::pixels::{Pixels, Window, windows};
@@ -147,12 +148,61 @@ impl Arena {
     }
 }
 
+/// Does `step` with the instructions of `isa`.
+///
+/// # Safety
+/// The processor has them; `step` was planned for this arena and for `isa`.
+pub(crate) unsafe fn run_on(isa: Isa, step: &Step, arena: &mut Arena) {
+    debug_assert!(isa.is_here(), "{} on a processor without it", isa.name());
+    // SAFETY: the caller's.
+    unsafe {
+        match isa {
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 => avx2(step, arena),
+            #[cfg(target_arch = "x86_64")]
+            Isa::AvxVnni => avx_vnni(step, arena),
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512Vnni => avx512_vnni(step, arena),
+            #[cfg(target_arch = "aarch64")]
+            Isa::Neon => neon(step, arena),
+            #[cfg(target_arch = "aarch64")]
+            Isa::NeonDot => neon_dot(step, arena),
+            _ => run::<Portable>(step, arena),
+        }
+    }
+}
+
+/// A step compiled for one instruction set.
+macro_rules! compiled {
+    ($name:ident, $lanes:ty, $features:literal, $arch:literal) => {
+        #[cfg(target_arch = $arch)]
+        #[target_feature(enable = $features)]
+        unsafe fn $name(step: &Step, arena: &mut Arena) {
+            // SAFETY: the caller's.
+            unsafe { run::<$lanes>(step, arena) }
+        }
+    };
+}
+
+compiled!(avx2, crate::x86::Avx2, "avx2,fma", "x86_64");
+compiled!(avx_vnni, crate::x86::AvxVnni, "avx2,fma,avxvnni", "x86_64");
+compiled!(
+    avx512_vnni,
+    crate::x86::Avx512Vnni,
+    "avx2,fma,avx512f,avx512bw,avx512vl,avx512vnni",
+    "x86_64"
+);
+compiled!(neon, crate::arm::Neon, "neon", "aarch64");
+compiled!(neon_dot, crate::arm::NeonDot, "neon,dotprod", "aarch64");
+
 /// Does `step`.
 ///
 /// # Safety
 /// The processor has the instructions of `S`; `step` was planned for this arena and `S`.
 #[inline(always)]
-pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
+unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
+    #[cfg(debug_assertions)]
+    crate::contract::check(step, arena, S::N);
     let activations = arena.activations.as_mut_ptr().cast::<u8>();
     let scratch = arena.scratch.as_mut_ptr().cast::<u8>();
     // SAFETY: the plan laid the places inside the arena, and outputs apart from inputs.

@@ -85,7 +85,7 @@ fn conv(builder: &mut Builder, input: Tensor, form: Form, random: &mut Random) -
 }
 
 fn outputs(net: &mut Net, input: &[u8]) -> Vec<u32> {
-    net.input_bytes().copy_from_slice(input);
+    net.input_bytes(0).copy_from_slice(input);
     net.run();
     net.output(0).flatten().map(|v| v.to_bits()).collect()
 }
@@ -218,7 +218,7 @@ fn convolutions_are_their_definition() {
             };
             let end = builder.conv(start, &conv).expect("known");
             let mut net = builder.finish(&[end]).expect("floats");
-            net.input_bytes().copy_from_slice(&input);
+            net.input_bytes(0).copy_from_slice(&input);
             net.run();
             let found: Vec<i32> = net.output(0).flatten().map(|&v| v as i32).collect();
             assert_eq!(found, expected, "{isa:?} {form:?}");
@@ -264,7 +264,7 @@ fn floats_agree_to_rounding() {
         let end = conv(&mut b, large, 70, 1, 1, false);
         let mut net = b.finish(&[end]).expect("floats");
         let picture = Random(5).floats(30 * 22 * 3);
-        net.input_floats().copy_from_slice(&picture);
+        net.input_floats(0).copy_from_slice(&picture);
         net.run();
         net.output(0).flatten().copied().collect::<Vec<f32>>()
     };
@@ -297,6 +297,6 @@ fn what_there_is_no_kernel_for_is_refused() {
     };
     let error = builder.conv(input, &conv).expect_err("floats on bytes").to_string();
     assert!(error.contains("another kind"), "{error}");
-    let error = builder.finish(&[input]).expect_err("bytes").to_string();
-    assert!(error.contains("bytes"), "{error}");
+    let error = builder.finish(&[]).expect_err("nothing to give out").to_string();
+    assert!(error.contains("without an output"), "{error}");
 }

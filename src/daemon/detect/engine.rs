@@ -134,7 +134,7 @@ impl Engine {
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Kernels { net, .. } => {
-                let kind = if net.input_quant().is_some() { "int8" } else { "f32" };
+                let kind = if net.input_fact(0).1.is_some() { "int8" } else { "f32" };
                 format!("{kind} kernels, {}", net.isa().name())
             }
             Self::Tract { why, .. } => format!("tract ({why})"),
@@ -145,9 +145,9 @@ impl Engine {
     pub(super) fn input(&mut self) -> Into<'_> {
         match self {
             Self::Tract { planes, .. } => Into::Planes(planes),
-            Self::Kernels { net, .. } => match net.input_quant() {
-                Some(steps) => Into::Quantised(net.input_bytes(), steps),
-                None => Into::Pixels(net.input_floats()),
+            Self::Kernels { net, .. } => match net.input_fact(0).1 {
+                Some(steps) => Into::Quantised(net.input_bytes(0), steps),
+                None => Into::Pixels(net.input_floats(0)),
             },
         }
     }

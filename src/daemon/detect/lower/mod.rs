@@ -88,6 +88,9 @@ pub(super) fn lower(
     let output = proto.output.first().ok_or("no output")?;
     match lowering.values.remove(output.name.as_str()) {
         Some(Value::Rows(Rows { levels, parts, axis: 2 })) => {
+            if levels.iter().any(|&level| lowering.builder.quant_params(level).is_some()) {
+                return Err("an output of bytes".to_owned());
+            }
             let net = lowering.builder.finish(&levels).map_err(|error| error.to_string())?;
             let input = [1, stored.channels, stored.height, stored.width];
             Ok(Lowered { net, input, levels: levels.len(), parts })

@@ -49,10 +49,18 @@ pub(crate) struct Program {
 }
 
 /// A network that is ready to run. A clone shares the weights and has memory of its own.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Net {
     program: Arc<Program>,
     arena: Arena,
+}
+
+/// Without weights and pixels.
+impl std::fmt::Debug for Net {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let steps: Vec<_> = self.program.steps.iter().map(|step| step.op.name()).collect();
+        f.debug_struct("Net").field("isa", &self.program.isa).field("steps", &steps).finish()
+    }
 }
 
 impl Net {

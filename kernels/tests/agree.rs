@@ -91,9 +91,9 @@ fn outputs(net: &mut Net, input: &[u8]) -> Vec<u32> {
 }
 
 /// A network that uses every kernel, channels and sizes that fill no vector.
-fn everything(isa: Isa, seed: u64) -> Net {
+fn everything(isa: Isa, seed: u64, [height, width]: [usize; 2]) -> Net {
     let random = &mut Random(seed);
-    let shape = Shape { height: 50, width: 38, channels: 3 };
+    let shape = Shape { height, width, channels: 3 };
     let (mut b, input) =
         Builder::new(isa, shape, Some(QuantParams { scale: 0.02, zero_point: 114 }));
     let plain = Form { slope: None, ..ONE };
@@ -130,16 +130,28 @@ fn pooled_to(builder: &mut Builder, from: Tensor) -> Tensor {
     builder.requantise(from, QuantParams { scale: 0.033, zero_point: 9 }).expect("steps")
 }
 
+const SIZE: [usize; 2] = [50, 38];
+
+/// Small enough for Miri, which `.ci/run` has look over every pointer where there is one.
+#[test]
+fn small_networks_keep_to_their_memory() {
+    let input = Random(3).bytes(10 * 8 * 3);
+    for isa in Isa::available() {
+        let mut net = everything(isa, 1, [10, 8]);
+        assert_eq!(outputs(&mut net, &input), outputs(&mut net.clone(), &input));
+    }
+}
+
 #[test]
 fn integers_are_the_same_bytes_on_every_instruction_set() {
     let here = Isa::available();
     println!("this processor: {here:?}");
     for seed in [1, 2, 3] {
-        let input = Random(seed + 100).bytes(50 * 38 * 3);
-        let reference = outputs(&mut everything(Isa::Portable, seed), &input);
+        let input = Random(seed + 100).bytes(SIZE[0] * SIZE[1] * 3);
+        let reference = outputs(&mut everything(Isa::Portable, seed, SIZE), &input);
         assert!(reference.iter().collect::<std::collections::HashSet<_>>().len() > 100);
         for &isa in &here {
-            let mut net = everything(isa, seed);
+            let mut net = everything(isa, seed, SIZE);
             assert_eq!(net.isa(), isa);
             assert!(outputs(&mut net, &input) == reference, "{isa:?}, seed {seed}");
             // Memory that steps share leaves no trace from run to run.

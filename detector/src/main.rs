@@ -3,7 +3,7 @@
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use verge_detector::failure::{Failure, USAGE};
-use verge_detector::{eval, mix};
+use verge_detector::{check, eval, mix};
 
 /// Choose training pictures, score detections.
 #[derive(Parser)]
@@ -19,6 +19,8 @@ enum Command {
     Mix(mix::Arguments),
     /// Precision, recall and average precision of a detections file.
     Eval(eval::Arguments),
+    /// What verge makes of a model file: head, cost, what runs where; and a sidecar to start from.
+    Check(check::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -34,6 +36,7 @@ fn main() -> ExitCode {
     let result: Result<(), Failure> = match arguments.command {
         Command::Mix(arguments) => mix::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Check(arguments) => check::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

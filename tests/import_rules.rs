@@ -85,7 +85,8 @@ fn only_line_outlet_and_assembly_name_two_stages() {
 #[test]
 fn each_outside_crate_has_one_door() {
     let doors = [
-        ("tract_onnx", "src/daemon/detect/mod.rs"),
+        ("tract_onnx", "src/daemon/detect/"),
+        ("verge_tract", "src/daemon/detect/"),
         ("verge_kernels", "src/daemon/detect/"),
         ("rumqttc", "src/daemon/publish/"),
         ("rumqttd", "src/daemon/publish/"),

@@ -4,14 +4,15 @@ mod common;
 
 use std::path::{Path, PathBuf};
 use verge::daemon::capture::decode;
-use verge::daemon::detect::{Detector, Precision};
+use verge::daemon::detect::{Detector, LoadOptions, Precision};
 use verge::daemon::frame::{Detection, Picture};
 
 /// Low, so that weak cells are compared too.
 const SCORE: f32 = 0.05;
 
 fn load(precision: Precision) -> Detector {
-    Detector::load_as(Path::new(common::MODEL), Some(SCORE), precision).expect("it ships")
+    let options = LoadOptions { score: Some(SCORE), precision, ..LoadOptions::default() };
+    Detector::load_as(Path::new(common::MODEL), &options).expect("it ships")
 }
 
 /// Frames of both recordings of the street.

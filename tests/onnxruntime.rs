@@ -6,7 +6,7 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 use verge::daemon::capture::decode;
-use verge::daemon::detect::{Detector, Precision, forms};
+use verge::daemon::detect::{Detector, LoadOptions, Precision};
 use verge::daemon::frame::{Picture, PixelBox};
 
 /// How far two boxes of one vehicle may lie apart in floats: overlap and score.
@@ -82,8 +82,15 @@ fn assert_alike(ours: &[Boxes], theirs: &[Boxes]) {
 fn our_models_boxes_agree_with_onnx_runtimes() {
     let folder = common::folder();
     let model = folder.path().join("float.onnx");
-    let shipped = Path::new("models/verge_nanodet_640x480.onnx");
-    std::fs::write(&model, forms(shipped).expect("it ships").float).expect("writing a model");
+    if !has("onnxruntime, numpy, PIL, onnx") {
+        return;
+    }
+    let written = Command::new("python3")
+        .args(["src/daemon/commands/forms.py", "models/verge_nanodet_640x480.onnx"])
+        .args([&model, &folder.path().join("early.onnx")])
+        .output()
+        .expect("python3 starts");
+    assert!(written.status.success(), "{}", common::stderr(&written));
     let Some((ours, theirs)) = both(common::MODEL, Precision::Float, &model, OURS) else {
         return;
     };
@@ -137,8 +144,10 @@ fn a_model_in_tract_finds_the_boxes_of_onnx_runtime() {
 
 /// Our boxes of the PNG files in `folder`, in the order of their names.
 fn ours(sidecar: &str, precision: Precision, folder: &Path) -> Vec<Boxes> {
-    let mut detector = Detector::load_as(Path::new(sidecar), Some(THRESHOLD as f32), precision)
-        .expect("a model that is known");
+    let score = Some(THRESHOLD as f32);
+    let options = LoadOptions { score, precision, ..LoadOptions::default() };
+    let mut detector =
+        Detector::load_as(Path::new(sidecar), &options).expect("a model that is known");
     println!("{sidecar}: {}", detector.runs_on());
     let mut names: Vec<_> = std::fs::read_dir(folder)
         .expect("it was made")
@@ -154,6 +163,16 @@ fn ours(sidecar: &str, precision: Precision, folder: &Path) -> Vec<Boxes> {
     names.iter().map(&mut boxes).collect()
 }
 
+/// Whether python3 has these packages; says so where it lacks one.
+fn has(packages: &str) -> bool {
+    let has = Command::new("python3").args(["-c", &format!("import {packages}")]).output();
+    let has = has.is_ok_and(|output| output.status.success());
+    if !has {
+        common::skip(&format!("python3 lacks one of {packages}"));
+    }
+    has
+}
+
 /// Both search some frames of the simulated street; `None` without ONNX Runtime.
 fn both(
     sidecar: &str,
@@ -161,9 +180,7 @@ fn both(
     model: &Path,
     reading: Reading,
 ) -> Option<(Vec<Boxes>, Vec<Boxes>)> {
-    let has = Command::new("python3").args(["-c", "import onnxruntime, numpy, PIL"]).output();
-    if !has.is_ok_and(|output| output.status.success()) {
-        common::skip("python3 with onnxruntime, numpy and pillow is not installed");
+    if !has("onnxruntime, numpy, PIL") {
         return None;
     }
     // PNG, so that both decode the same pixels.

@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
-use verge_detector::{eval, mix};
+use verge_detector::{check, eval, mix};
 
 /// Choose training pictures, score detections.
 #[derive(Parser)]
@@ -18,11 +18,14 @@ enum Command {
     Mix(mix::Arguments),
     /// Precision, recall and average precision of a detections file.
     Eval(eval::Arguments),
+    /// What verge makes of a model file: head, cost, what runs where; and a sidecar to start from.
+    Check(check::Arguments),
 }
 
 fn main() -> ExitCode {
     verge_desk::run_main(|arguments: Arguments| match arguments.command {
         Command::Mix(arguments) => mix::run(&arguments),
         Command::Eval(arguments) => Ok(eval::run(&arguments)?),
+        Command::Check(arguments) => Ok(check::run(&arguments)?),
     })
 }

@@ -3,7 +3,7 @@
 //! `cargo bench -p verge-kernels`
 
 use divan::Bencher;
-use verge_kernels::{Builder, Conv, Isa, Net, Shape, Steps, Tensor, Weights};
+use verge_kernels::{Builder, Conv, Isa, Net, QuantParams, Shape, Tensor, Weights};
 
 fn main() {
     divan::main();
@@ -17,7 +17,7 @@ fn isa(name: &str) -> Isa {
     Isa::available().into_iter().find(|isa| isa.name() == name).unwrap_or(Isa::Portable)
 }
 
-const STEPS: Option<Steps> = Some(Steps { scale: 0.02, zero: 100 });
+const STEPS: Option<QuantParams> = Some(QuantParams { scale: 0.02, zero_point: 100 });
 
 /// Rows, columns, channels.
 type Size = [usize; 3];
@@ -57,7 +57,7 @@ fn conv(name: &str, size: Size, channels: usize, kernel: usize, deep: bool, int8
 /// Outputs must be floats: one pixel of them, so that the kernel alone is timed.
 fn done(mut builder: Builder, out: Tensor) -> Net {
     let channels = builder.shape(out).channels;
-    if builder.steps(out).is_none() {
+    if builder.quant_params(out).is_none() {
         return builder.finish(&[out]).expect("floats");
     }
     let small = builder.pool(out, 3, 60, 1).expect("it fits");
@@ -78,8 +78,8 @@ fn done(mut builder: Builder, out: Tensor) -> Net {
 }
 
 fn run(bencher: Bencher<'_, '_>, mut net: Net) {
-    net.input_bytes().fill(90);
-    net.input_floats().fill(0.5);
+    net.input_bytes(0).fill(90);
+    net.input_floats(0).fill(0.5);
     bencher.bench_local(|| net.run());
 }
 
@@ -137,7 +137,7 @@ others! {
     max_pool_24: [240, 320, 24], |b, input| b.pool(input, 3, 2, 1).expect("it fits");
     shuffle_58: [60, 80, 58], |b, input| b.interleave(input, input).expect("alike");
     add_96: [60, 80, 96], |b, input| {
-        let steps = b.steps(input);
+        let steps = b.quant_params(input);
         b.add(input, input, steps).expect("alike")
     };
     enlarge_96: [30, 40, 96], |b, input| b.double(input);

@@ -3,12 +3,13 @@
 use crate::isa::{Isa, traits};
 use crate::layout::{Block, lay_out};
 use crate::moves::Rescale;
-use crate::net::{Net, Shape};
-use crate::pack::{Conv, Steps, Weights};
+use crate::net::{Net, Port, Program, Shape};
+use crate::pack::{Conv, QuantParams, Weights};
 use crate::pixels::Window;
-use crate::step::{Arena, BEHIND, Place, Step, Work};
+use crate::step::{BEHIND, Op, Place, Step};
+use std::sync::Arc;
 
-/// A picture of the network that is put together.
+/// An activation of the network that is put together: pixels with their channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Tensor(usize);
 
@@ -31,17 +32,17 @@ fn refuse<T>(reason: impl Into<String>) -> Result<T, PlanError> {
 }
 
 #[derive(Clone, Debug)]
-struct Picture {
+struct Activation {
     shape: Shape,
     /// `None`: floats.
-    steps: Option<Steps>,
-    /// Some channels of another picture, from one on.
+    quant: Option<QuantParams>,
+    /// Some channels of another activation, from one on.
     part_of: Option<(Tensor, usize)>,
 }
 
-impl Picture {
+impl Activation {
     fn width(&self) -> usize {
-        if self.steps.is_some() { 1 } else { 4 }
+        if self.quant.is_some() { 1 } else { 4 }
     }
 }
 
@@ -49,44 +50,58 @@ impl Picture {
 #[derive(Debug)]
 pub struct Builder {
     isa: Isa,
-    pictures: Vec<Picture>,
-    steps: Vec<(Work, [Tensor; 2], Tensor)>,
+    activations: Vec<Activation>,
+    inputs: Vec<Tensor>,
+    ops: Vec<(Op, [Tensor; 2], Tensor)>,
     scratch: usize,
 }
 
 impl Builder {
-    /// Starts with the input. `steps`: bytes; without: floats.
-    pub fn new(isa: Isa, input: Shape, steps: Option<Steps>) -> (Self, Tensor) {
+    /// Starts with nothing.
+    pub fn on(isa: Isa) -> Self {
         let isa = if isa.is_here() { isa } else { Isa::Portable };
-        let mut builder = Self { isa, pictures: Vec::new(), steps: Vec::new(), scratch: 0 };
-        let input = builder.picture(input, steps);
+        let (activations, inputs, ops) = (Vec::new(), Vec::new(), Vec::new());
+        Self { isa, activations, inputs, ops, scratch: 0 }
+    }
+
+    /// Starts with an input. `quant`: bytes; without: floats.
+    pub fn new(isa: Isa, input: Shape, quant: Option<QuantParams>) -> (Self, Tensor) {
+        let mut builder = Self::on(isa);
+        let input = builder.input(input, quant);
         (builder, input)
     }
 
-    /// Shape of a picture.
+    /// An input, which is filled before each run.
+    pub fn input(&mut self, shape: Shape, quant: Option<QuantParams>) -> Tensor {
+        let input = self.activation(shape, quant);
+        self.inputs.push(input);
+        input
+    }
+
+    /// Shape of an activation.
     pub fn shape(&self, of: Tensor) -> Shape {
-        self.pictures[of.0].shape
+        self.activations[of.0].shape
     }
 
-    /// Steps of a picture of bytes.
-    pub fn steps(&self, of: Tensor) -> Option<Steps> {
-        self.pictures[of.0].steps
+    /// Quantisation of an activation of bytes.
+    pub fn quant_params(&self, of: Tensor) -> Option<QuantParams> {
+        self.activations[of.0].quant
     }
 
-    fn picture(&mut self, shape: Shape, steps: Option<Steps>) -> Tensor {
-        self.pictures.push(Picture { shape, steps, part_of: None });
-        Tensor(self.pictures.len() - 1)
+    fn activation(&mut self, shape: Shape, quant: Option<QuantParams>) -> Tensor {
+        self.activations.push(Activation { shape, quant, part_of: None });
+        Tensor(self.activations.len() - 1)
     }
 
     fn push(
         &mut self,
-        work: Work,
+        op: Op,
         from: [Tensor; 2],
         shape: Shape,
-        steps: Option<Steps>,
+        quant: Option<QuantParams>,
     ) -> Tensor {
-        let to = self.picture(shape, steps);
-        self.steps.push((work, from, to));
+        let to = self.activation(shape, quant);
+        self.ops.push((op, from, to));
         to
     }
 
@@ -112,7 +127,7 @@ impl Builder {
     /// # Errors
     /// [`PlanError`] where there is no kernel for it or lengths do not fit.
     pub fn conv(&mut self, input: Tensor, conv: &Conv<'_>) -> Result<Tensor, PlanError> {
-        let Picture { shape, steps, .. } = self.pictures[input.0].clone();
+        let Activation { shape, quant, .. } = self.activations[input.0].clone();
         let window = self.window(input, [conv.kernel, conv.stride, conv.pad])?;
         if conv.depthwise && (conv.channels != shape.channels || ![3, 5].contains(&conv.kernel)) {
             return refuse(format!(
@@ -133,37 +148,37 @@ impl Builder {
         let one = conv.kernel == 1 && conv.stride == 1 && conv.pad == 0;
         let (channels, count) = (shape.channels, out.pixels());
         let lanes = traits(self.isa).0;
-        let (work, scratch) = match (conv.weights, steps) {
-            (Weights::Int8 { values, scales, bias }, Some(steps)) => {
-                let packed = conv.pack(self.isa, steps, channels, values, scales, bias);
-                let outside = steps.zero;
+        let (op, scratch) = match (conv.weights, quant) {
+            (Weights::Int8 { values, scales, bias }, Some(quant)) => {
+                let packed = conv.pack(self.isa, quant, channels, values, scales, bias);
+                let outside = quant.zero_point;
                 if conv.depthwise {
                     let padded = channels.next_multiple_of(lanes);
                     let column = conv.kernel.div_ceil(4) * 4 * padded;
                     let scratch = (shape.width + 2 * conv.pad) * column;
-                    (Work::Depthwise { packed, window, outside }, scratch)
+                    (Op::Depthwise { packed, window, outside }, scratch)
                 } else if one {
-                    (Work::Product { packed, count }, 0)
+                    (Op::Product { packed, count }, 0)
                 } else {
                     let scratch = width * 4 * packed.fours;
-                    (Work::Dense { packed, window, channels, outside }, scratch)
+                    (Op::Dense { packed, window, channels, outside }, scratch)
                 }
             }
             (Weights::Float { values, bias }, None) if conv.out.is_none() => {
                 let packed = conv.pack_f(self.isa, channels, values, bias);
                 if conv.depthwise {
-                    (Work::DepthwiseF { packed, window }, 0)
+                    (Op::DepthwiseF { packed, window }, 0)
                 } else if one {
-                    (Work::ProductF { packed, count }, 0)
+                    (Op::ProductF { packed, count }, 0)
                 } else {
                     let scratch = width * 4 * packed.inputs;
-                    (Work::DenseF { packed, window, channels }, scratch)
+                    (Op::DenseF { packed, window, channels }, scratch)
                 }
             }
-            _ => return refuse("weights of another kind than the picture"),
+            _ => return refuse("weights of another kind than the activation"),
         };
         self.scratch = self.scratch.max(scratch);
-        Ok(self.push(work, [input; 2], out, conv.out))
+        Ok(self.push(op, [input; 2], out, conv.out))
     }
 
     /// The largest value under each window.
@@ -180,15 +195,15 @@ impl Builder {
         let window = self.window(input, [kernel, stride, pad])?;
         let channels = self.shape(input).channels;
         let [height, width] = window.to;
-        let work = match self.steps(input) {
-            Some(_) => Work::Pool { window, channels },
-            None => Work::PoolF { window, channels },
+        let op = match self.quant_params(input) {
+            Some(_) => Op::Pool { window, channels },
+            None => Op::PoolF { window, channels },
         };
         let shape = Shape { height, width, channels };
-        Ok(self.push(work, [input; 2], shape, self.steps(input)))
+        Ok(self.push(op, [input; 2], shape, self.quant_params(input)))
     }
 
-    /// Channels `first` to `first + channels` of a picture. Costs nothing.
+    /// Channels `first` to `first + channels` of an activation. Costs nothing.
     ///
     /// # Errors
     /// [`PlanError`] where it has fewer.
@@ -198,7 +213,7 @@ impl Builder {
         first: usize,
         channels: usize,
     ) -> Result<Tensor, PlanError> {
-        let Picture { shape, steps, .. } = self.pictures[input.0].clone();
+        let Activation { shape, quant, .. } = self.activations[input.0].clone();
         if first + channels > shape.channels {
             return refuse(format!(
                 "channels {first} to {} of {}",
@@ -206,14 +221,14 @@ impl Builder {
                 shape.channels
             ));
         }
-        let part = self.picture(Shape { channels, ..shape }, steps);
-        self.pictures[part.0].part_of = Some((input, first));
+        let part = self.activation(Shape { channels, ..shape }, quant);
+        self.activations[part.0].part_of = Some((input, first));
         Ok(part)
     }
 
     fn alike(&self, a: Tensor, b: Tensor) -> Result<(), PlanError> {
-        let (a, b) = (&self.pictures[a.0], &self.pictures[b.0]);
-        if a.shape != b.shape || a.steps.is_some() != b.steps.is_some() {
+        let (a, b) = (&self.activations[a.0], &self.activations[b.0]);
+        if a.shape != b.shape || a.quant.is_some() != b.quant.is_some() {
             return refuse(format!("{:?} and {:?} together", a.shape, b.shape));
         }
         Ok(())
@@ -225,180 +240,194 @@ impl Builder {
     /// [`PlanError`] where shapes or steps differ.
     pub fn interleave(&mut self, a: Tensor, b: Tensor) -> Result<Tensor, PlanError> {
         self.alike(a, b)?;
-        let (shape, steps) = (self.shape(a), self.steps(a));
-        if steps != self.steps(b) {
+        let (shape, quant) = (self.shape(a), self.quant_params(a));
+        if quant != self.quant_params(b) {
             return refuse("a shuffle of halves with different scales");
         }
         let (channels, count) = (shape.channels, shape.pixels());
-        let work = match steps {
-            Some(_) => Work::Interleave { channels, count },
-            None => Work::InterleaveF { channels, count },
+        let op = match quant {
+            Some(_) => Op::Interleave { channels, count },
+            None => Op::InterleaveF { channels, count },
         };
-        Ok(self.push(work, [a, b], Shape { channels: 2 * channels, ..shape }, steps))
+        Ok(self.push(op, [a, b], Shape { channels: 2 * channels, ..shape }, quant))
     }
 
-    /// Pictures behind one another, channel-wise. Costs nothing for pictures that can be
+    /// Activations behind one another, channel-wise. Costs nothing for activations that can be
     /// written where they will lie.
     ///
     /// # Errors
     /// [`PlanError`] where sizes differ.
-    pub fn concat(&mut self, parts: &[Tensor], steps: Option<Steps>) -> Result<Tensor, PlanError> {
+    pub fn concat(
+        &mut self,
+        parts: &[Tensor],
+        quant: Option<QuantParams>,
+    ) -> Result<Tensor, PlanError> {
         let Some(&first) = parts.first() else { return refuse("a concatenation of nothing") };
         let shape = self.shape(first);
         for &part in parts {
             let Shape { height, width, .. } = self.shape(part);
-            let floats = self.steps(part).is_none();
-            if (height, width) != (shape.height, shape.width) || floats != steps.is_none() {
+            let floats = self.quant_params(part).is_none();
+            if (height, width) != (shape.height, shape.width) || floats != quant.is_none() {
                 return refuse(format!("{shape:?} and {:?} together", self.shape(part)));
             }
         }
         let channels = parts.iter().map(|&part| self.shape(part).channels).sum();
-        let whole = self.picture(Shape { channels, ..shape }, steps);
+        let whole = self.activation(Shape { channels, ..shape }, quant);
         let mut at = 0;
         for &part in parts {
-            let place = &self.pictures[part.0];
+            let place = &self.activations[part.0];
             let (channels, own) = (place.shape.channels, place.part_of.is_none());
-            if own && place.steps == steps && part.0 != 0 {
-                self.pictures[part.0].part_of = Some((whole, at));
+            if own && place.quant == quant && !self.inputs.contains(&part) {
+                self.activations[part.0].part_of = Some((whole, at));
             } else {
                 let to = self.slice(whole, at, channels)?;
-                let work = self.carry(part, steps);
-                self.steps.push((work, [part; 2], to));
+                let op = self.carry(part, quant);
+                self.ops.push((op, [part; 2], to));
             }
             at += channels;
         }
         Ok(whole)
     }
 
-    /// The work of copying a picture to other steps.
-    fn carry(&self, part: Tensor, steps: Option<Steps>) -> Work {
-        let picture = &self.pictures[part.0];
-        let (channels, count) = (picture.shape.channels, picture.shape.pixels());
-        match (picture.steps, steps) {
+    /// The work of copying an activation to other steps.
+    fn carry(&self, part: Tensor, quant: Option<QuantParams>) -> Op {
+        let activation = &self.activations[part.0];
+        let (channels, count) = (activation.shape.channels, activation.shape.pixels());
+        match (activation.quant, quant) {
             (Some(from), Some(to)) if from != to => {
-                Work::Rescale { scale: rescale(from, to), channels, count }
+                Op::Rescale { scale: rescale(from, to), channels, count }
             }
-            _ => Work::Copy { bytes: channels * picture.width(), count },
+            _ => Op::Copy { bytes: channels * activation.width(), count },
         }
     }
 
-    /// The picture in other steps.
+    /// The activation in other steps.
     ///
     /// # Errors
     /// [`PlanError`] for floats.
-    pub fn requantise(&mut self, input: Tensor, steps: Steps) -> Result<Tensor, PlanError> {
-        match self.steps(input) {
+    pub fn requantise(&mut self, input: Tensor, quant: QuantParams) -> Result<Tensor, PlanError> {
+        match self.quant_params(input) {
             None => refuse("floats into steps"),
-            Some(from) if from == steps => Ok(input),
+            Some(from) if from == quant => Ok(input),
             Some(_) => {
-                let work = self.carry(input, Some(steps));
-                Ok(self.push(work, [input; 2], self.shape(input), Some(steps)))
+                let op = self.carry(input, Some(quant));
+                Ok(self.push(op, [input; 2], self.shape(input), Some(quant)))
             }
         }
     }
 
-    /// The sum of two pictures.
+    /// The sum of two activations.
     ///
     /// # Errors
     /// [`PlanError`] where shapes differ.
-    pub fn add(&mut self, a: Tensor, b: Tensor, steps: Option<Steps>) -> Result<Tensor, PlanError> {
+    pub fn add(
+        &mut self,
+        a: Tensor,
+        b: Tensor,
+        quant: Option<QuantParams>,
+    ) -> Result<Tensor, PlanError> {
         self.alike(a, b)?;
         let shape = self.shape(a);
         let (channels, count) = (shape.channels, shape.pixels());
-        let work = match (self.steps(a), self.steps(b), steps) {
+        let op = match (self.quant_params(a), self.quant_params(b), quant) {
             (Some(from), Some(other), Some(to)) => {
                 let scales = [rescale(from, to), rescale(other, to)];
-                Work::Add { scales, channels, count }
+                Op::Add { scales, channels, count }
             }
-            (None, None, None) => Work::AddF { channels, count },
+            (None, None, None) => Op::AddF { channels, count },
             _ => return refuse("a sum of bytes and floats"),
         };
-        Ok(self.push(work, [a, b], shape, steps))
+        Ok(self.push(op, [a, b], shape, quant))
     }
 
     /// Twice as wide and high, linear between aligned pixel centres.
     pub fn double(&mut self, input: Tensor) -> Tensor {
-        let Picture { shape, steps, .. } = self.pictures[input.0].clone();
+        let Activation { shape, quant, .. } = self.activations[input.0].clone();
         let (size, channels) = ([shape.height, shape.width], shape.channels);
-        let work = match steps {
-            Some(_) => Work::Double { size, channels },
-            None => Work::DoubleF { size, channels },
+        let op = match quant {
+            Some(_) => Op::Double { size, channels },
+            None => Op::DoubleF { size, channels },
         };
         let shape = Shape { height: 2 * shape.height, width: 2 * shape.width, channels };
-        self.push(work, [input; 2], shape, steps)
+        self.push(op, [input; 2], shape, quant)
     }
 
-    /// Lays out the memory. `outputs` are pictures of floats.
+    /// Lays out the memory.
     ///
     /// # Errors
-    /// [`PlanError`] for an output of bytes.
+    /// [`PlanError`] where there is no output.
     pub fn finish(self, outputs: &[Tensor]) -> Result<Net, PlanError> {
-        if outputs.iter().any(|&output| self.steps(output).is_some()) {
-            return refuse("an output of bytes");
+        if outputs.is_empty() {
+            return refuse("a network without an output");
         }
         let (offsets, bytes) = lay_out(&self.blocks(outputs));
         let place = |tensor: Tensor| {
             let (at, first) = self.whole(tensor);
-            let whole = &self.pictures[at.0];
+            let whole = &self.activations[at.0];
             Place {
                 offset: offsets[at.0] + first * whole.width(),
                 stride: whole.shape.channels * whole.width(),
             }
         };
-        let steps = self.steps.iter().map(|(work, from, to)| Step {
-            work: work.clone(),
+        let steps = self.ops.iter().map(|(op, from, to)| Step {
+            op: op.clone(),
             from: from.map(place),
             to: place(*to),
         });
-        let outputs = outputs.iter().map(|&output| (place(output), self.shape(output))).collect();
-        Ok(Net {
+        let port = |&tensor: &Tensor| Port {
+            place: place(tensor),
+            shape: self.shape(tensor),
+            quant: self.quant_params(tensor),
+        };
+        Ok(Net::new(Arc::new(Program {
             isa: self.isa,
             steps: steps.collect(),
-            input: place(Tensor(0)),
-            shape: self.pictures[0].shape,
-            input_steps: self.pictures[0].steps,
-            outputs,
-            arena: Arena::new(bytes, self.scratch),
-        })
+            inputs: self.inputs.iter().map(port).collect(),
+            outputs: outputs.iter().map(port).collect(),
+            activations: bytes,
+            scratch: self.scratch,
+        })))
     }
 
-    /// The picture that `tensor` is a part of, and its first channel there.
+    /// The activation that `tensor` is a part of, and its first channel there.
     fn whole(&self, tensor: Tensor) -> (Tensor, usize) {
         let (mut at, mut first) = (tensor, 0);
-        while let Some((whole, from)) = self.pictures[at.0].part_of {
+        while let Some((whole, from)) = self.activations[at.0].part_of {
             (at, first) = (whole, first + from);
         }
         (at, first)
     }
 
-    /// What each picture takes of the memory; parts of others nothing.
+    /// What each activation takes of the memory; parts of others nothing.
     fn blocks(&self, outputs: &[Tensor]) -> Vec<Block> {
-        let mut blocks = vec![Block { bytes: 0, life: (usize::MAX, 0) }; self.pictures.len()];
+        let mut blocks = vec![Block { bytes: 0, life: (usize::MAX, 0) }; self.activations.len()];
         let mut touch = |tensor: Tensor, at: usize| {
             let (Tensor(i), _) = self.whole(tensor);
-            let picture = &self.pictures[i];
-            let values = picture.shape.pixels() * picture.shape.channels;
-            let bytes = (values * picture.width() + BEHIND).next_multiple_of(64);
+            let activation = &self.activations[i];
+            let values = activation.shape.pixels() * activation.shape.channels;
+            let bytes = (values * activation.width() + BEHIND).next_multiple_of(64);
             let (first, last) = blocks[i].life;
             blocks[i] = Block { bytes, life: (first.min(at), last.max(at)) };
         };
-        touch(Tensor(0), 0);
-        for (i, (_, from, to)) in self.steps.iter().enumerate() {
+        for &input in &self.inputs {
+            touch(input, 0);
+        }
+        for (i, (_, from, to)) in self.ops.iter().enumerate() {
             for &tensor in from.iter().chain([to]) {
                 touch(tensor, i + 1);
             }
         }
         for &output in outputs {
-            touch(output, self.steps.len() + 1);
+            touch(output, self.ops.len() + 1);
         }
         blocks
     }
 }
 
-fn rescale(from: Steps, to: Steps) -> Rescale {
+fn rescale(from: QuantParams, to: QuantParams) -> Rescale {
     Rescale {
         factor: from.scale / to.scale,
-        zero_from: f32::from(from.zero),
-        zero_to: f32::from(to.zero),
+        zero_from: f32::from(from.zero_point),
+        zero_to: f32::from(to.zero_point),
     }
 }

@@ -11,7 +11,7 @@ use crate::pixels::{Pixels, Window};
 /// channel; a column then serves every window that covers it.
 ///
 /// # Safety
-/// `from` and `to` hold whole pictures; `scratch` holds
+/// `from` and `to` hold whole activations; `scratch` holds
 /// `(from[1] + 2 pad) * groups * 4 * padded` bytes.
 #[inline(always)]
 pub(crate) unsafe fn depthwise<S: Lanes>(
@@ -130,10 +130,10 @@ unsafe fn across<S: Lanes, const K: usize, const G: usize>(
     }
 }
 
-/// A depthwise convolution of floats; outside the picture is 0.
+/// A depthwise convolution of floats; outside the activation is 0.
 ///
 /// # Safety
-/// `from` and `to` hold whole pictures, and a vector may be read behind `from`.
+/// `from` and `to` hold whole activations, and a vector may be read behind `from`.
 #[inline(always)]
 pub(crate) unsafe fn depthwise_f<S: Lanes>(
     packed: &PackedF,

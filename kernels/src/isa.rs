@@ -1,5 +1,7 @@
 //! Which instruction set the kernels use, found when the program runs.
 
+use crate::lanes::{Lanes, Portable};
+
 /// An instruction set that the kernels exist for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Isa {
@@ -75,29 +77,6 @@ impl Isa {
     }
 }
 
-/// Calls `$body` with `$lanes` standing for the lanes of `$isa`, compiled for it.
-macro_rules! with_lanes {
-    ($isa:expr, $generic:ident($($arg:expr),*)) => {{
-        use $crate::isa::Isa;
-        match $isa {
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx2 => $crate::isa::x86::avx2($($arg),*),
-            #[cfg(target_arch = "x86_64")]
-            Isa::AvxVnni => $crate::isa::x86::avx_vnni($($arg),*),
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx512Vnni => $crate::isa::x86::avx512_vnni($($arg),*),
-            #[cfg(target_arch = "aarch64")]
-            Isa::Neon => $crate::isa::arm::neon($($arg),*),
-            #[cfg(target_arch = "aarch64")]
-            Isa::NeonDot => $crate::isa::arm::neon_dot($($arg),*),
-            _ => $generic::<$crate::lanes::Portable>($($arg),*),
-        }
-    }};
-}
-pub(crate) use with_lanes;
-
-use crate::lanes::{Lanes, Portable};
-
 /// Width, many registers, shifted: what packing must know of `isa`.
 pub(crate) fn traits(isa: Isa) -> (usize, bool, bool) {
     fn of<S: Lanes>() -> (usize, bool, bool) {
@@ -113,49 +92,5 @@ pub(crate) fn traits(isa: Isa) -> (usize, bool, bool) {
         #[cfg(target_arch = "aarch64")]
         Isa::NeonDot => of::<crate::arm::NeonDot>(),
         _ => of::<Portable>(),
-    }
-}
-
-/// The step compiled for each x86-64 instruction set.
-#[cfg(target_arch = "x86_64")]
-pub(crate) mod x86 {
-    use crate::step::{Arena, Step, run};
-    use crate::x86::{Avx2, Avx512Vnni, AvxVnni};
-
-    #[target_feature(enable = "avx2,fma")]
-    pub(crate) unsafe fn avx2(step: &Step, arena: &mut Arena) {
-        // SAFETY: the caller's.
-        unsafe { run::<Avx2>(step, arena) }
-    }
-
-    #[target_feature(enable = "avx2,fma,avxvnni")]
-    pub(crate) unsafe fn avx_vnni(step: &Step, arena: &mut Arena) {
-        // SAFETY: the caller's.
-        unsafe { run::<AvxVnni>(step, arena) }
-    }
-
-    #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512vl,avx512vnni")]
-    pub(crate) unsafe fn avx512_vnni(step: &Step, arena: &mut Arena) {
-        // SAFETY: the caller's.
-        unsafe { run::<Avx512Vnni>(step, arena) }
-    }
-}
-
-/// The step compiled for each Arm instruction set.
-#[cfg(target_arch = "aarch64")]
-pub(crate) mod arm {
-    use crate::arm::{Neon, NeonDot};
-    use crate::step::{Arena, Step, run};
-
-    #[target_feature(enable = "neon")]
-    pub(crate) unsafe fn neon(step: &Step, arena: &mut Arena) {
-        // SAFETY: the caller's.
-        unsafe { run::<Neon>(step, arena) }
-    }
-
-    #[target_feature(enable = "neon,dotprod")]
-    pub(crate) unsafe fn neon_dot(step: &Step, arena: &mut Arena) {
-        // SAFETY: the caller's.
-        unsafe { run::<NeonDot>(step, arena) }
     }
 }

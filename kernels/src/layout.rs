@@ -1,6 +1,6 @@
-//! Where the pictures of a network lie in the memory that they share.
+//! Where the activations of a network lie in the memory that they share.
 
-/// A picture as memory sees it.
+/// An activation as memory sees it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Block {
     /// Its length.

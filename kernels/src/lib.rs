@@ -6,10 +6,17 @@
 //! compiled for every instruction set; [`Isa::best`] picks one when the program runs. Integer
 //! networks give the same bytes on all of them.
 //!
+//! Own code, because nothing that can be had runs these nets at this speed: tract and rten take 7
+//! to 30 times as long as ONNX Runtime for quantised depthwise nets, and crates of matrix products
+//! (rten-gemm, tract-linalg) leave the depthwise convolutions, the shuffles and the rounding between
+//! them, which is where the time goes. `docs/inference.md` has what is measured.
+//!
 //! The one place of the project, besides the clock and the microcontroller, with `unsafe`:
 //! vector instructions and the pointers that they need.
 
 mod builder;
+#[cfg(any(debug_assertions, test))]
+mod contract;
 mod depthwise;
 mod finish;
 mod isa;
@@ -30,4 +37,4 @@ mod x86;
 pub use builder::{Builder, PlanError, Tensor};
 pub use isa::Isa;
 pub use net::{Net, Shape};
-pub use pack::{Conv, Steps, Weights};
+pub use pack::{Conv, QuantParams, Weights};

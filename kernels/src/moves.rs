@@ -8,7 +8,7 @@ use crate::pixels::{Pixels, Window};
 /// The largest value under each window; places outside do not count.
 ///
 /// # Safety
-/// `from` and `to` hold whole pictures of `channels`.
+/// `from` and `to` hold whole activations of `channels`.
 #[inline(always)]
 pub(crate) unsafe fn pool<T: Copy + PartialOrd>(
     window: &Window,
@@ -44,7 +44,7 @@ pub(crate) unsafe fn pool<T: Copy + PartialOrd>(
     }
 }
 
-/// Channels of two pictures in turn: the shuffle of two halves.
+/// Channels of two activations in turn: the shuffle of two halves.
 ///
 /// # Safety
 /// `a` and `b` hold `count` pixels of `channels`, `to` twice as many channels.
@@ -127,7 +127,7 @@ pub(crate) unsafe fn rescale(
     }
 }
 
-/// The sum of two pictures, each with its scale.
+/// The sum of two activations, each with its scale.
 ///
 /// # Safety
 /// All hold `count` pixels of `channels`.
@@ -154,7 +154,7 @@ pub(crate) unsafe fn add(
     }
 }
 
-/// The sum of two pictures in floats.
+/// The sum of two activations in floats.
 ///
 /// # Safety
 /// All hold `count` pixels of `channels`.
@@ -173,7 +173,7 @@ pub(crate) unsafe fn add_f(from: [Pixels<f32>; 2], to: Pixels<f32>, channels: us
     }
 }
 
-/// A value that a picture can be enlarged in.
+/// A value that an activation can be enlarged in.
 pub(crate) trait Mix: Copy {
     /// Nine parts of `a`, three each of `b` and `c`, one of `d`, by 16.
     fn mix(a: Self, b: Self, c: Self, d: Self) -> Self;

@@ -1,10 +1,11 @@
 //! A network that is ready to run, on memory of its own.
 
-use crate::isa::{Isa, with_lanes};
-use crate::pack::Steps;
-use crate::step::{Arena, Place, Step, run};
+use crate::isa::Isa;
+use crate::pack::QuantParams;
+use crate::step::{Arena, Place, Step, run_on};
+use std::sync::Arc;
 
-/// Height, width and channels of a picture.
+/// Height, width and channels of an activation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Rows.
@@ -21,81 +22,141 @@ impl Shape {
     }
 }
 
-/// A network that is ready to run.
-#[derive(Clone, Debug)]
+/// An input or output: where it lies and what it is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Port {
+    pub place: Place,
+    pub shape: Shape,
+    pub quant: Option<QuantParams>,
+}
+
+impl Port {
+    fn len(&self) -> usize {
+        self.shape.pixels() * self.shape.channels
+    }
+}
+
+/// The steps of a network with its weights: what all that run it share.
+#[derive(Debug)]
+pub(crate) struct Program {
+    pub isa: Isa,
+    pub steps: Vec<Step>,
+    pub inputs: Vec<Port>,
+    pub outputs: Vec<Port>,
+    /// Bytes of the arena.
+    pub activations: usize,
+    pub scratch: usize,
+}
+
+/// A network that is ready to run. A clone shares the weights and has memory of its own.
+#[derive(Clone)]
 pub struct Net {
-    pub(crate) isa: Isa,
-    pub(crate) steps: Vec<Step>,
-    pub(crate) input: Place,
-    pub(crate) shape: Shape,
-    pub(crate) input_steps: Option<Steps>,
-    pub(crate) outputs: Vec<(Place, Shape)>,
-    pub(crate) arena: Arena,
+    program: Arc<Program>,
+    arena: Arena,
+}
+
+/// Without weights and pixels.
+impl std::fmt::Debug for Net {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let steps: Vec<_> = self.program.steps.iter().map(|step| step.op.name()).collect();
+        f.debug_struct("Net").field("isa", &self.program.isa).field("steps", &steps).finish()
+    }
 }
 
 impl Net {
+    pub(crate) fn new(program: Arc<Program>) -> Self {
+        let arena = Arena::new(program.activations, program.scratch);
+        Self { program, arena }
+    }
+
     /// The instruction set that it was put together for.
     pub fn isa(&self) -> Isa {
-        self.isa
+        self.program.isa
     }
 
-    /// Steps of the input, `None` for floats.
-    pub fn input_steps(&self) -> Option<Steps> {
-        self.input_steps
+    /// Number of inputs.
+    pub fn inputs(&self) -> usize {
+        self.program.inputs.len()
     }
 
-    /// Bytes of memory that pictures share.
+    /// Shape of input `index`, and its quantisation; `None` for floats.
+    pub fn input_fact(&self, index: usize) -> (Shape, Option<QuantParams>) {
+        let Port { shape, quant, .. } = self.program.inputs[index];
+        (shape, quant)
+    }
+
+    /// Shape of output `index`, and its quantisation; `None` for floats.
+    pub fn output_fact(&self, index: usize) -> (Shape, Option<QuantParams>) {
+        let Port { shape, quant, .. } = self.program.outputs[index];
+        (shape, quant)
+    }
+
+    /// Bytes of memory that activations share.
     pub fn memory(&self) -> usize {
-        (self.arena.pictures.len() + self.arena.scratch.len()) * 64
+        (self.arena.activations.len() + self.arena.scratch.len()) * 64
     }
 
-    fn input_len(&self) -> usize {
-        self.shape.pixels() * self.shape.channels
-    }
-
-    /// The input to fill before each run, row by row, pixel by pixel, channels last; empty
-    /// for a network of floats.
-    pub fn input_bytes(&mut self) -> &mut [u8] {
-        let len = if self.input_steps.is_some() { self.input_len() } else { 0 };
-        let start = self.arena.pictures.as_mut_ptr().cast::<u8>();
+    /// Input `index` to fill before each run, row by row, pixel by pixel, channels last; empty
+    /// for an input of floats.
+    pub fn input_bytes(&mut self, index: usize) -> &mut [u8] {
+        let port = self.program.inputs[index];
+        let len = if port.quant.is_some() { port.len() } else { 0 };
+        let start = self.arena.activations.as_mut_ptr().cast::<u8>();
+        debug_assert!(port.place.offset + len <= self.arena.activations.len() * 64);
         // SAFETY: the plan laid the input inside the arena, which is initialised.
-        unsafe { std::slice::from_raw_parts_mut(start.add(self.input.offset), len) }
+        unsafe { std::slice::from_raw_parts_mut(start.add(port.place.offset), len) }
     }
 
-    /// The input of a network of floats; empty for one of bytes.
-    pub fn input_floats(&mut self) -> &mut [f32] {
-        let len = if self.input_steps.is_none() { self.input_len() } else { 0 };
-        let start = self.arena.pictures.as_mut_ptr().cast::<u8>();
+    /// As [`Self::input_bytes`] for an input of floats; empty for one of bytes.
+    pub fn input_floats(&mut self, index: usize) -> &mut [f32] {
+        let port = self.program.inputs[index];
+        let len = if port.quant.is_none() { port.len() } else { 0 };
+        let start = self.arena.activations.as_mut_ptr().cast::<u8>();
+        debug_assert!(port.place.offset + 4 * len <= self.arena.activations.len() * 64);
         // SAFETY: as above; offsets are multiples of 64.
-        unsafe { std::slice::from_raw_parts_mut(start.add(self.input.offset).cast(), len) }
+        unsafe { std::slice::from_raw_parts_mut(start.add(port.place.offset).cast(), len) }
     }
 
-    /// Runs the network on its input, which it may overwrite.
+    /// Runs the network on its inputs, which it may overwrite.
     pub fn run(&mut self) {
-        for step in &self.steps {
-            let arena = &mut self.arena;
+        for step in &self.program.steps {
             // SAFETY: `finish` planned the steps for this arena, and `Builder::new` checked
             // that the processor has the instructions.
-            unsafe { with_lanes!(self.isa, run(step, arena)) }
+            unsafe { run_on(self.program.isa, step, &mut self.arena) }
         }
     }
 
     /// As [`Self::run`], telling after each step its kind and the time it took.
     pub fn run_timed(&mut self, mut told: impl FnMut(&'static str, std::time::Duration)) {
-        for step in &self.steps {
-            let arena = &mut self.arena;
+        for step in &self.program.steps {
             let begun = std::time::Instant::now();
             // SAFETY: as in `run`.
-            unsafe { with_lanes!(self.isa, run(step, arena)) }
-            told(step.work.name(), begun.elapsed());
+            unsafe { run_on(self.program.isa, step, &mut self.arena) }
+            told(step.op.name(), begun.elapsed());
         }
     }
 
-    /// Output `index`: pixels with their channels.
+    /// Output `index`, pixels with their channels; none for an output of bytes.
     pub fn output(&self, index: usize) -> impl Iterator<Item = &[f32]> {
-        let (place, shape) = self.outputs[index];
-        let start = self.arena.pictures.as_ptr().cast::<u8>();
-        (0..shape.pixels()).map(move |i| {
+        self.pixels::<f32>(index, self.program.outputs[index].quant.is_none())
+    }
+
+    /// As [`Self::output`] for an output of bytes; none for one of floats.
+    pub fn output_bytes(&self, index: usize) -> impl Iterator<Item = &[u8]> {
+        self.pixels::<u8>(index, self.program.outputs[index].quant.is_some())
+    }
+
+    /// `T` is what the output is stored in where `is_it`.
+    fn pixels<T: 'static>(&self, index: usize, is_it: bool) -> impl Iterator<Item = &[T]> {
+        let Port { place, shape, .. } = self.program.outputs[index];
+        let start = self.arena.activations.as_ptr().cast::<u8>();
+        let count = if is_it { shape.pixels() } else { 0 };
+        debug_assert!(
+            place.offset + count.saturating_sub(1) * place.stride + shape.channels * size_of::<T>()
+                <= self.arena.activations.len() * 64
+                || count == 0
+        );
+        (0..count).map(move |i| {
             // SAFETY: the plan laid the output inside the arena, and nothing over it.
             unsafe {
                 let pixel = start.add(place.offset + i * place.stride).cast();

@@ -2,13 +2,13 @@
 
 use crate::isa::{Isa, traits};
 
-/// The steps that a picture of bytes counts in: `value = (byte - zero) * scale`.
+/// The scale that an activation of bytes counts in: `value = (byte - zero_point) * scale`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Steps {
+pub struct QuantParams {
     /// Value of one step, over 0.
     pub scale: f32,
     /// The byte that means 0.
-    pub zero: u8,
+    pub zero_point: u8,
 }
 
 /// Weights and biases of a convolution, in the order output, input, row, column.
@@ -32,7 +32,7 @@ pub enum Weights<'a> {
     },
 }
 
-/// A convolution with what follows it up to the next stored picture.
+/// A convolution with what follows it up to the next stored activation.
 #[derive(Clone, Copy, Debug)]
 pub struct Conv<'a> {
     /// Weights and biases.
@@ -47,12 +47,12 @@ pub struct Conv<'a> {
     pub pad: usize,
     /// Each output channel sees its own input channel only.
     pub depthwise: bool,
-    /// Steps that sums are rounded to before the activation, where a model asks for that.
-    pub before: Option<Steps>,
+    /// What sums are rounded to before the activation, where a model asks for that.
+    pub before: Option<QuantParams>,
     /// Leaky rectifier: the factor below 0. 0 is the plain rectifier.
     pub slope: Option<f32>,
-    /// Steps of the output; `None` for floats.
-    pub out: Option<Steps>,
+    /// Quantisation of the output; `None` for floats.
+    pub out: Option<QuantParams>,
 }
 
 /// What happens to a sum before it is stored.
@@ -104,11 +104,11 @@ impl Conv<'_> {
         self.channels * inputs * self.kernel * self.kernel
     }
 
-    fn finish(&self, input: Steps, scales: &[f32], padded: usize) -> Finish {
+    fn finish(&self, input: QuantParams, scales: &[f32], padded: usize) -> Finish {
         let unit = self.before.or(self.out).map_or(1.0, |steps| steps.scale);
         let mut factors: Vec<f32> = scales.iter().map(|w| input.scale * w / unit).collect();
         factors.resize(padded, 0.0);
-        let zero = |steps: Steps| f32::from(steps.zero);
+        let zero = |steps: QuantParams| f32::from(steps.zero_point);
         let onward = match (self.before, self.out) {
             (Some(before), Some(out)) => before.scale / out.scale,
             (Some(before), None) => before.scale,
@@ -124,7 +124,7 @@ impl Conv<'_> {
     pub(crate) fn pack(
         &self,
         isa: Isa,
-        input: Steps,
+        input: QuantParams,
         inputs: usize,
         values: &[i8],
         scales: &[f32],
@@ -135,7 +135,7 @@ impl Conv<'_> {
         let taps = self.kernel * self.kernel;
         let seen = if self.depthwise { 1 } else { inputs };
         // The input's zero point, and what `dot` leaves out, in the sum's start.
-        let away = i32::from(input.zero) - if shifted { 128 } else { 0 };
+        let away = i32::from(input.zero_point) - if shifted { 128 } else { 0 };
         let mut start: Vec<i32> = values
             .chunks_exact(seen * taps)
             .zip(bias)

@@ -1,4 +1,4 @@
-//! Pictures in memory, rows of pixels with channels last, and windows that move over them.
+//! Activations in memory, rows of pixels with channels last, and windows that move over them.
 
 /// Pixels of `channels` bytes (or floats) each, `stride` apart.
 #[derive(Clone, Copy)]

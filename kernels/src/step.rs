@@ -3,13 +3,14 @@
 //! Owns what a step names and the only place where offsets become pointers.
 
 use crate::depthwise::{depthwise, depthwise_f};
-use crate::lanes::Lanes;
+use crate::isa::Isa;
+use crate::lanes::{Lanes, Portable};
 use crate::moves::{self, Rescale};
 use crate::pack::{Packed, PackedF};
 use crate::pixels::{Pixels, Window, windows};
 use crate::product::product;
 
-/// Where a picture lies: first byte, and bytes from pixel to pixel.
+/// Where an activation lies: first byte, and bytes from pixel to pixel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
     pub offset: usize,
@@ -18,7 +19,7 @@ pub(crate) struct Place {
 
 /// What a step does.
 #[derive(Clone, Debug)]
-pub(crate) enum Work {
+pub(crate) enum Op {
     Product {
         packed: Packed,
         count: usize,
@@ -92,7 +93,7 @@ pub(crate) enum Work {
     },
 }
 
-impl Work {
+impl Op {
     /// For reports.
     pub(crate) fn name(&self) -> &'static str {
         match self {
@@ -118,16 +119,16 @@ impl Work {
 /// A step with its places. A step of one input names it twice.
 #[derive(Clone, Debug)]
 pub(crate) struct Step {
-    pub work: Work,
+    pub op: Op,
     pub from: [Place; 2],
     pub to: Place,
 }
 
-/// All pictures of a network, and what a step needs for itself.
+/// All activations of a network, and what a step needs for itself.
 #[derive(Clone, Debug)]
 pub(crate) struct Arena {
     /// 64 bytes each, so that vectors lie in one line of the cache.
-    pub pictures: Vec<Line>,
+    pub activations: Vec<Line>,
     pub scratch: Vec<Line>,
 }
 
@@ -136,42 +137,91 @@ pub(crate) struct Arena {
 #[repr(C, align(64))]
 pub(crate) struct Line(pub [u8; 64]);
 
-/// Bytes that must be readable behind the last picture: a vector.
+/// Bytes that must be readable behind the last activation: a vector.
 pub(crate) const BEHIND: usize = 64;
 
 impl Arena {
     /// Of as many bytes.
-    pub(crate) fn new(pictures: usize, scratch: usize) -> Self {
+    pub(crate) fn new(activations: usize, scratch: usize) -> Self {
         let lines = |bytes: usize| vec![Line([0; 64]); (bytes + BEHIND).div_ceil(64) + 1];
-        Self { pictures: lines(pictures), scratch: lines(scratch) }
+        Self { activations: lines(activations), scratch: lines(scratch) }
     }
 }
+
+/// Does `step` with the instructions of `isa`.
+///
+/// # Safety
+/// The processor has them; `step` was planned for this arena and for `isa`.
+pub(crate) unsafe fn run_on(isa: Isa, step: &Step, arena: &mut Arena) {
+    debug_assert!(isa.is_here(), "{} on a processor without it", isa.name());
+    // SAFETY: the caller's.
+    unsafe {
+        match isa {
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 => avx2(step, arena),
+            #[cfg(target_arch = "x86_64")]
+            Isa::AvxVnni => avx_vnni(step, arena),
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512Vnni => avx512_vnni(step, arena),
+            #[cfg(target_arch = "aarch64")]
+            Isa::Neon => neon(step, arena),
+            #[cfg(target_arch = "aarch64")]
+            Isa::NeonDot => neon_dot(step, arena),
+            _ => run::<Portable>(step, arena),
+        }
+    }
+}
+
+/// A step compiled for one instruction set.
+macro_rules! compiled {
+    ($name:ident, $lanes:ty, $features:literal, $arch:literal) => {
+        #[cfg(target_arch = $arch)]
+        #[target_feature(enable = $features)]
+        unsafe fn $name(step: &Step, arena: &mut Arena) {
+            // SAFETY: the caller's.
+            unsafe { run::<$lanes>(step, arena) }
+        }
+    };
+}
+
+compiled!(avx2, crate::x86::Avx2, "avx2,fma", "x86_64");
+compiled!(avx_vnni, crate::x86::AvxVnni, "avx2,fma,avxvnni", "x86_64");
+compiled!(
+    avx512_vnni,
+    crate::x86::Avx512Vnni,
+    "avx2,fma,avx512f,avx512bw,avx512vl,avx512vnni",
+    "x86_64"
+);
+compiled!(neon, crate::arm::Neon, "neon", "aarch64");
+compiled!(neon_dot, crate::arm::NeonDot, "neon,dotprod", "aarch64");
 
 /// Does `step`.
 ///
 /// # Safety
 /// The processor has the instructions of `S`; `step` was planned for this arena and `S`.
 #[inline(always)]
-pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
-    let pictures = arena.pictures.as_mut_ptr().cast::<u8>();
+unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
+    #[cfg(debug_assertions)]
+    crate::contract::check(step, arena, S::N);
+    let activations = arena.activations.as_mut_ptr().cast::<u8>();
     let scratch = arena.scratch.as_mut_ptr().cast::<u8>();
     // SAFETY: the plan laid the places inside the arena, and outputs apart from inputs.
     unsafe {
         let bytes =
-            |place: Place| Pixels { start: pictures.add(place.offset), stride: place.stride };
+            |place: Place| Pixels { start: activations.add(place.offset), stride: place.stride };
         let floats = |place: Place| Pixels {
-            start: pictures.add(place.offset).cast::<f32>(),
+            start: activations.add(place.offset).cast::<f32>(),
             stride: place.stride / 4,
         };
         let (a, b) = (step.from[0], step.from[1]);
-        match &step.work {
-            Work::Product { packed, count } => {
+        match &step.op {
+            Op::Product { packed, count } => {
                 product::<S, _>(packed, bytes(a), bytes(step.to), *count);
             }
-            Work::ProductF { packed, count } => {
+            Op::ProductF { packed, count } => {
                 product::<S, _>(packed, floats(a), floats(step.to), *count);
             }
-            Work::Dense { packed, window, channels, outside } => {
+            Op::Dense { packed, window, channels, outside } => {
                 let width = 4 * packed.fours;
                 let rows = Pixels { start: scratch, stride: width };
                 for y in 0..window.to[0] {
@@ -180,7 +230,7 @@ pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
                     product::<S, _>(packed, rows, to, window.to[1]);
                 }
             }
-            Work::DenseF { packed, window, channels } => {
+            Op::DenseF { packed, window, channels } => {
                 let width = packed.inputs;
                 let scratch = scratch.cast::<f32>();
                 let rows = Pixels { start: scratch, stride: width };
@@ -190,41 +240,41 @@ pub(crate) unsafe fn run<S: Lanes>(step: &Step, arena: &mut Arena) {
                     product::<S, _>(packed, rows, to, window.to[1]);
                 }
             }
-            Work::Depthwise { packed, window, outside } => {
+            Op::Depthwise { packed, window, outside } => {
                 depthwise::<S>(packed, window, bytes(a), bytes(step.to), *outside, scratch);
             }
-            Work::DepthwiseF { packed, window } => {
+            Op::DepthwiseF { packed, window } => {
                 depthwise_f::<S>(packed, window, floats(a), floats(step.to));
             }
-            Work::Pool { window, channels } => {
+            Op::Pool { window, channels } => {
                 moves::pool(window, *channels, 0u8, bytes(a), bytes(step.to));
             }
-            Work::PoolF { window, channels } => {
+            Op::PoolF { window, channels } => {
                 let least = f32::NEG_INFINITY;
                 moves::pool(window, *channels, least, floats(a), floats(step.to));
             }
-            Work::Interleave { channels, count } => {
+            Op::Interleave { channels, count } => {
                 moves::interleave(bytes(a), bytes(b), bytes(step.to), *channels, *count);
             }
-            Work::InterleaveF { channels, count } => {
+            Op::InterleaveF { channels, count } => {
                 moves::interleave(floats(a), floats(b), floats(step.to), *channels, *count);
             }
-            Work::Copy { bytes: width, count } => {
+            Op::Copy { bytes: width, count } => {
                 moves::copy(bytes(a), bytes(step.to), *width, *count);
             }
-            Work::Rescale { scale, channels, count } => {
+            Op::Rescale { scale, channels, count } => {
                 moves::rescale(*scale, bytes(a), bytes(step.to), *channels, *count);
             }
-            Work::Add { scales, channels, count } => {
+            Op::Add { scales, channels, count } => {
                 moves::add(*scales, [bytes(a), bytes(b)], bytes(step.to), *channels, *count);
             }
-            Work::AddF { channels, count } => {
+            Op::AddF { channels, count } => {
                 moves::add_f([floats(a), floats(b)], floats(step.to), *channels, *count);
             }
-            Work::Double { size, channels } => {
+            Op::Double { size, channels } => {
                 moves::double(*size, *channels, bytes(a), bytes(step.to));
             }
-            Work::DoubleF { size, channels } => {
+            Op::DoubleF { size, channels } => {
                 moves::double(*size, *channels, floats(a), floats(step.to));
             }
         }

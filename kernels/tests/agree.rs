@@ -1,7 +1,7 @@
 //! Every instruction set of this processor against the portable one, and that against plain
 //! loops over the definition.
 
-use verge_kernels::{Builder, Conv, Isa, Net, Shape, Steps, Tensor, Weights};
+use verge_kernels::{Builder, Conv, Isa, Net, QuantParams, Shape, Tensor, Weights};
 
 /// A small generator with a seed; xorshift.
 struct Random(u64);
@@ -69,7 +69,7 @@ fn conv(builder: &mut Builder, input: Tensor, form: Form, random: &mut Random) -
     let scales: Vec<f32> =
         random.bytes(form.channels).into_iter().map(|v| 0.001 + f32::from(v) * 1e-5).collect();
     let scale = 0.01 * (sums as f32).sqrt();
-    let steps = |zero| Steps { scale, zero };
+    let steps = |zero| QuantParams { scale, zero_point: zero };
     let conv = Conv {
         weights: Weights::Int8 { values: &values, scales: &scales, bias: &bias },
         channels: form.channels,
@@ -85,16 +85,17 @@ fn conv(builder: &mut Builder, input: Tensor, form: Form, random: &mut Random) -
 }
 
 fn outputs(net: &mut Net, input: &[u8]) -> Vec<u32> {
-    net.input_bytes().copy_from_slice(input);
+    net.input_bytes(0).copy_from_slice(input);
     net.run();
     net.output(0).flatten().map(|v| v.to_bits()).collect()
 }
 
 /// A network that uses every kernel, channels and sizes that fill no vector.
-fn everything(isa: Isa, seed: u64) -> Net {
+fn everything(isa: Isa, seed: u64, [height, width]: [usize; 2]) -> Net {
     let random = &mut Random(seed);
-    let shape = Shape { height: 50, width: 38, channels: 3 };
-    let (mut b, input) = Builder::new(isa, shape, Some(Steps { scale: 0.02, zero: 114 }));
+    let shape = Shape { height, width, channels: 3 };
+    let (mut b, input) =
+        Builder::new(isa, shape, Some(QuantParams { scale: 0.02, zero_point: 114 }));
     let plain = Form { slope: None, ..ONE };
     let stem = conv(&mut b, input, Form { kernel: 3, stride: 2, ..ONE }, random);
     let pooled = b.pool(stem, 3, 2, 1).expect("it fits");
@@ -105,7 +106,7 @@ fn everything(isa: Isa, seed: u64) -> Net {
     let right = conv(&mut b, pooled, Form { channels: 29, rounded_before: true, ..ONE }, random);
     let right = conv(&mut b, right, deep(29, 3, 2), random);
     let right = conv(&mut b, right, Form { channels: 29, ..ONE }, random);
-    let steps = b.steps(right).expect("steps");
+    let steps = b.quant_params(right).expect("steps");
     let left = b.requantise(left, steps).expect("steps");
     let mixed = b.interleave(left, right).expect("halves");
     let low = b.slice(mixed, 0, 29).expect("half");
@@ -115,7 +116,8 @@ fn everything(isa: Isa, seed: u64) -> Net {
     let joined = b.concat(&[low, high, copy], Some(steps)).expect("they fit");
     let wide = conv(&mut b, joined, Form { channels: 131, slope: Some(0.0), ..ONE }, random);
     let back = conv(&mut b, wide, Form { channels: 87, ..plain }, random);
-    let sum = b.add(joined, back, Some(Steps { scale: 0.05, zero: 60 })).expect("alike");
+    let sum =
+        b.add(joined, back, Some(QuantParams { scale: 0.05, zero_point: 60 })).expect("alike");
     let large = b.double(sum);
     let last = conv(&mut b, large, deep(87, 5, 2), random);
     let end = Form { channels: 38, float_out: true, ..plain };
@@ -125,7 +127,19 @@ fn everything(isa: Isa, seed: u64) -> Net {
 
 /// A copy in other steps.
 fn pooled_to(builder: &mut Builder, from: Tensor) -> Tensor {
-    builder.requantise(from, Steps { scale: 0.033, zero: 9 }).expect("steps")
+    builder.requantise(from, QuantParams { scale: 0.033, zero_point: 9 }).expect("steps")
+}
+
+const SIZE: [usize; 2] = [50, 38];
+
+/// Small enough for Miri, which `.ci/run` has look over every pointer where there is one.
+#[test]
+fn small_networks_keep_to_their_memory() {
+    let input = Random(3).bytes(10 * 8 * 3);
+    for isa in Isa::available() {
+        let mut net = everything(isa, 1, [10, 8]);
+        assert_eq!(outputs(&mut net, &input), outputs(&mut net.clone(), &input));
+    }
 }
 
 #[test]
@@ -133,11 +147,11 @@ fn integers_are_the_same_bytes_on_every_instruction_set() {
     let here = Isa::available();
     println!("this processor: {here:?}");
     for seed in [1, 2, 3] {
-        let input = Random(seed + 100).bytes(50 * 38 * 3);
-        let reference = outputs(&mut everything(Isa::Portable, seed), &input);
+        let input = Random(seed + 100).bytes(SIZE[0] * SIZE[1] * 3);
+        let reference = outputs(&mut everything(Isa::Portable, seed, SIZE), &input);
         assert!(reference.iter().collect::<std::collections::HashSet<_>>().len() > 100);
         for &isa in &here {
-            let mut net = everything(isa, seed);
+            let mut net = everything(isa, seed, SIZE);
             assert_eq!(net.isa(), isa);
             assert!(outputs(&mut net, &input) == reference, "{isa:?}, seed {seed}");
             // Memory that steps share leaves no trace from run to run.
@@ -197,7 +211,7 @@ fn convolutions_are_their_definition() {
         let input = random.bytes(11 * 14 * 19);
         let expected = by_definition(&input, shape, 77, form, &values, &bias);
         for isa in Isa::available() {
-            let steps = Steps { scale: 1.0, zero: 77 };
+            let steps = QuantParams { scale: 1.0, zero_point: 77 };
             let (mut builder, start) = Builder::new(isa, shape, Some(steps));
             let conv = Conv {
                 weights: Weights::Int8 {
@@ -216,7 +230,7 @@ fn convolutions_are_their_definition() {
             };
             let end = builder.conv(start, &conv).expect("known");
             let mut net = builder.finish(&[end]).expect("floats");
-            net.input_bytes().copy_from_slice(&input);
+            net.input_bytes(0).copy_from_slice(&input);
             net.run();
             let found: Vec<i32> = net.output(0).flatten().map(|&v| v as i32).collect();
             assert_eq!(found, expected, "{isa:?} {form:?}");
@@ -262,7 +276,7 @@ fn floats_agree_to_rounding() {
         let end = conv(&mut b, large, 70, 1, 1, false);
         let mut net = b.finish(&[end]).expect("floats");
         let picture = Random(5).floats(30 * 22 * 3);
-        net.input_floats().copy_from_slice(&picture);
+        net.input_floats(0).copy_from_slice(&picture);
         net.run();
         net.output(0).flatten().copied().collect::<Vec<f32>>()
     };
@@ -278,7 +292,7 @@ fn floats_agree_to_rounding() {
 fn what_there_is_no_kernel_for_is_refused() {
     let shape = Shape { height: 8, width: 8, channels: 4 };
     let (mut builder, input) =
-        Builder::new(Isa::best(), shape, Some(Steps { scale: 1.0, zero: 0 }));
+        Builder::new(Isa::best(), shape, Some(QuantParams { scale: 1.0, zero_point: 0 }));
     let error = builder.slice(input, 2, 3).expect_err("too many channels").to_string();
     assert!(error.contains("2 to 5 of 4"), "{error}");
     let weights = Weights::Float { values: &[0.0; 16], bias: &[0.0; 4] };
@@ -295,6 +309,6 @@ fn what_there_is_no_kernel_for_is_refused() {
     };
     let error = builder.conv(input, &conv).expect_err("floats on bytes").to_string();
     assert!(error.contains("another kind"), "{error}");
-    let error = builder.finish(&[input]).expect_err("bytes").to_string();
-    assert!(error.contains("bytes"), "{error}");
+    let error = builder.finish(&[]).expect_err("nothing to give out").to_string();
+    assert!(error.contains("without an output"), "{error}");
 }

@@ -6,8 +6,8 @@
 
 use super::clock;
 use super::config::Views;
-use super::detect::Detector;
 use super::detect::regions::Parts;
+use super::detect::{Detector, Share};
 use super::exit::Failure;
 use super::frame::{Detection, Frame};
 use super::presets::{Preset, Presets, TableSettings, WindowSettings};
@@ -211,6 +211,15 @@ impl Line {
     /// Where the first preset's pictures are searched.
     pub fn parts(&self) -> &Parts {
         &self.parts[0]
+    }
+
+    /// What computes which part of the net, with its share of the time, in words.
+    ///
+    /// # Errors
+    /// [`Failure::Detect`] where inference fails.
+    pub fn describe_net(&mut self) -> Result<String, Failure> {
+        let one = |share: &Share| format!("{:.0} % {}", share.of_time * 100.0, share.by);
+        Ok(self.detector.shares(5)?.iter().map(one).collect::<Vec<_>>().join("; "))
     }
 
     /// Model and table in a few words.

@@ -7,7 +7,7 @@
 //! `docs/fuzzing.md`.
 //!
 //! Targets: `pictures`, `large_pictures`, `http_answers`, `streams` (camera), `configurations`,
-//! `lane_tables`, `spool_recovery` (files), `wire_messages`, `json_messages` (messages read
+//! `lane_tables`, `spool_recovery`, `models` (files), `wire_messages`, `json_messages` (messages read
 //! back).
 
 #[path = "../common/mod.rs"]
@@ -24,6 +24,7 @@ use std::fs;
 use std::path::Path;
 use verge::daemon::capture::{DecodeError, decode};
 use verge::daemon::config::Config;
+use verge::daemon::detect::inspect;
 use verge::daemon::frame::Picture;
 use verge::daemon::publish::{Identity, payload};
 use verge::daemon::spool::{self, Spool};
@@ -90,6 +91,37 @@ fn pictures_to_begin_with() -> Vec<Vec<u8>> {
     files.sort();
     pictures.extend(files.iter().map(|file| fs::read(file).expect("a picture")));
     pictures
+}
+
+#[test]
+fn models() {
+    let folder = common::folder();
+    let path = folder.path().join("model.onnx");
+    let target = Target {
+        name: "models",
+        executions: 100,
+        corpus: vec![fs::read("tests/data/models/tiny.onnx").expect("it ships")],
+        tokens: &[
+            b"Conv",
+            b"QuantizeLinear",
+            b"DequantizeLinear",
+            b"LeakyRelu",
+            b"Reshape",
+            b"Resize",
+            b"Slice",
+            b"Split",
+            b"Transpose",
+            b"pads",
+            b"strides",
+            b"group",
+            b"axis",
+        ],
+        longest: 8192,
+    };
+    target.run(|_, input| {
+        fs::write(&path, &input).expect("writing a model");
+        outcome(inspect(&path, None), |model| magnitude(model.outputs.len() + model.left.len()))
+    });
 }
 
 #[test]

@@ -9,6 +9,7 @@ use super::{ModelArgs, recording};
 use crate::daemon::assemble::open_endless;
 use crate::daemon::clock;
 use crate::daemon::config::Views;
+use crate::daemon::detect::{Detector, Share};
 use crate::daemon::exit::Failure;
 use crate::daemon::line::{Judging, LineSettings, Stage};
 use crate::daemon::presets::{self, WindowSettings};
@@ -93,6 +94,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         "cold_start_ms": round(cold_start.as_secs_f64() * 1e3),
         "peak_rss_mb": peak_rss,
     });
+    let mut detector = Detector::load(&args.model.model, args.model.score)?;
+    detector.prepare(&station.frame().picture, 0);
+    let share = |share: Share| json!({"by": share.by, "share": round(share.of_time)});
+    report["net"] = detector.shares(args.count.max(1))?.into_iter().map(share).collect();
     #[cfg(feature = "desk")]
     if args.compare_onnxruntime {
         let picture = bench.station.frame().picture.clone();

@@ -31,10 +31,13 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         return report.finish();
     };
     let line = open_line(&config);
-    let line = report.line("model and table", line, |line| {
+    let mut line = report.line("model and table", line, |line| {
         let (model, table) = line.describe();
         format!("{model}; {table}")
     });
+    if let Some(line) = &mut line {
+        report.line("net", line.describe_net(), String::clone);
+    }
     let picture = report.line("camera", first_picture(&config, line.as_ref()), |(_, frame)| {
         format!("{}: {}x{} px", config.camera.source, frame.picture.width, frame.picture.height)
     });

@@ -4,7 +4,7 @@
 //! one thread, and take turns, so that a busy machine slows both. Times are processor time.
 
 use crate::daemon::clock;
-use crate::daemon::detect::{Detector, Precision, forms};
+use crate::daemon::detect::{Detector, LoadOptions, Precision};
 use crate::daemon::exit::Failure;
 use crate::daemon::frame::Picture;
 use serde_json::{Value, json};
@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 const SCRIPT: &str = include_str!("onnxruntime.py");
+/// Writes other forms of a model.
+const FORMS: &str = include_str!("forms.py");
 
 /// Turns that warm caches up and do not count.
 const WARM_UP: usize = 5;
@@ -136,6 +138,20 @@ fn ratio(ours: &[f64], theirs: &[f64]) -> Value {
     })
 }
 
+/// Writes the model in floats, and rounded before activations too where it rounds at all.
+fn write_forms(model: &Path, float: &Path, early: &Path) -> Result<(), Failure> {
+    let written = Command::new("python3")
+        .args(["-c", FORMS])
+        .args([model, float, early])
+        .output()
+        .map_err(|error| missing(&format!("python3 does not start ({error})")))?;
+    if written.status.success() {
+        return Ok(());
+    }
+    let said = String::from_utf8_lossy(&written.stderr);
+    Err(missing(said.trim().lines().last().unwrap_or("the model's forms were not written")))
+}
+
 /// Runs `turns` turns; `frame` puts one picture through the whole line.
 pub fn compare(
     model: &Path,
@@ -144,9 +160,9 @@ pub fn compare(
     mut frame: impl FnMut() -> Result<(), Failure>,
 ) -> Result<Value, Failure> {
     let mut stored = Detector::load(model, None)?;
-    let mut float = Detector::load_as(model, None, Precision::Float)?;
+    let options = LoadOptions { precision: Precision::Float, ..LoadOptions::default() };
+    let mut float = Detector::load_as(model, &options)?;
     let stored_file = stored.file().to_owned();
-    let forms = forms(&stored_file)?;
     let folder = Folder::new()?;
     let place = |name: &str| folder.0.join(name);
     let write = |name: &str, bytes: &[u8]| {
@@ -155,14 +171,11 @@ pub fn compare(
     };
     let planes = stored.planes(picture);
     write("input", &planes.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>())?;
-    write("float.onnx", &forms.float)?;
-    let early = forms.rounded_early.as_deref();
-    if let Some(bytes) = early {
-        write("early.onnx", bytes)?;
-    }
     let (float_file, early_file) = (place("float.onnx"), place("early.onnx"));
+    write_forms(&stored_file, &float_file, &early_file)?;
+    let is_int8 = early_file.exists();
     let mut files = vec![float_file.as_path()];
-    if early.is_some() {
+    if is_int8 {
         files.extend([stored_file.as_path(), &early_file]);
     }
     let (mut reference, version) = Reference::start(&place("input"), &files)?;
@@ -193,7 +206,7 @@ pub fn compare(
         "f32_ratio": f32_ratio["ratio"],
         "f32_ratio_spread": f32_ratio["spread"],
     });
-    if early.is_some() {
+    if is_int8 {
         // Against the form that it is faster in.
         let best =
             if median(theirs_early) < median(theirs_stored) { theirs_early } else { theirs_stored };

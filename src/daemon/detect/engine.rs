@@ -1,22 +1,20 @@
-//! What computes a net: the project's own kernels, or tract.
+//! A loaded net: tract's plan, with the kernels' operators in it.
 //!
-//! Owns the choice between them and the input and output of both.
+//! Owns input and output. Where the whole net is one operator of the kernels, its input is
+//! filled in place and its cells are read where they lie: nothing is copied or allocated for a
+//! frame.
 
 use super::head::Head;
 use super::letterbox::Into;
-use super::lower::{Lowered, lower};
-use super::onnx::ModelProto;
-use super::sidecar::Sidecar;
-use super::tail::Tail;
-use super::{ModelError, forms, operators};
+use super::load::{Loaded, Refused, Wanted, load};
 use crate::daemon::frame::Detection;
-use prost::Message;
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::Arc;
-use tract_hir::prelude::{
-    IntoRunnable, TValue, Tensor, TractError, TypedModel, TypedRunnableModel, tvec,
-};
-use verge_kernels::{Isa, Net};
+use std::time::{Duration, Instant};
+use tract_onnx::prelude::*;
+use tract_onnx::tract_core::plan;
+use verge_tract::{Gate, Input, LeftToTract, Subnet, SubnetState};
 
 /// The arithmetic that a model is run in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -30,159 +28,199 @@ pub enum Precision {
     Portable,
 }
 
-/// A loaded net.
-#[derive(Debug)]
-pub(super) enum Engine {
-    /// On the kernels.
-    Kernels { net: Box<Net>, levels: usize, tail: Tail, row: Vec<f32> },
-    /// In tract, with the input's planes and the reason why.
-    Tract { plan: Arc<TypedRunnableModel>, shape: [usize; 4], planes: Vec<f32>, why: String },
+/// What computes a part of a net, and its share of the net's time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Share {
+    /// What computes: kernels with their instruction set, or tract with its operators.
+    pub by: String,
+    /// Nodes of the plan.
+    pub nodes: usize,
+    /// Of the time, 0 to 1.
+    pub of_time: f64,
 }
 
-/// What an engine gave.
+/// A loaded net.
 #[derive(Debug)]
-pub(super) enum Output {
-    /// It lies in the net.
-    Inside,
-    /// tract's own.
-    Tract(TValue),
+pub(super) struct Engine {
+    state: TypedSimpleState,
+    /// The node that is the whole net.
+    whole: Option<usize>,
+    gate: Option<Gate>,
+    shape: [usize; 4],
+    /// The input in tract's order, where it is not filled in place.
+    planes: Vec<f32>,
+    outputs: TVec<TValue>,
+    left: Vec<LeftToTract>,
 }
 
 impl Engine {
     /// Loads `bytes`, the model file at `path`.
-    pub(super) fn load(
-        path: &Path,
-        bytes: Vec<u8>,
-        sidecar: &Sidecar,
-        head: &Head,
-        precision: Precision,
-    ) -> Result<Self, ModelError> {
-        let load = |error: TractError| ModelError::Load {
-            path: path.to_owned(),
-            reason: format!("{error:#}"),
-        };
-        let mismatch = |what, expected: &[usize], actual: &[usize]| ModelError::Shape {
-            path: path.to_owned(),
-            what,
-            expected: expected.to_vec(),
-            actual: actual.to_vec(),
-        };
-        let proto = ModelProto::decode(&bytes[..]).map_err(|error| ModelError::Load {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        })?;
-        drop(bytes);
-        let (width, height) = (sidecar.input.width_px, sidecar.input.height_px);
+    pub(super) fn load(path: &Path, bytes: Vec<u8>, wanted: &Wanted) -> Result<Self, Refused> {
+        let Loaded { model, size: [width, height], left } = load(path, bytes, wanted)?;
+        let whole = whole(&model);
+        let planes = if whole.is_some() { Vec::new() } else { vec![0.0; 3 * height * width] };
+        let state = model.into_runnable()?.spawn()?;
         let shape = [1, 3, height, width];
-        let why = match Self::on_kernels(&proto, precision) {
-            Ok(Lowered { net, levels, parts, input }) => {
-                if input != shape {
-                    return Err(mismatch("the input", &shape, &input));
-                }
-                let columns = parts.iter().map(super::tail::Part::columns).sum();
-                let cells = (0..levels).map(|level| net.output(level).count()).sum();
-                let expected = head.output_shape();
-                if [1, cells, columns] != expected || levels != head.levels() {
-                    return Err(mismatch("the output", &expected, &[1, cells, columns]));
-                }
-                let tail = Tail::new(parts, head.scores(), sidecar.thresholds.score);
-                let row = Vec::with_capacity(columns);
-                return Ok(Self::Kernels { net: Box::new(net), levels, tail, row });
-            }
-            Err(why) => why,
-        };
-        let given = proto.graph.as_ref().and_then(|graph| graph.input.first()?.shape());
-        if let Some(actual) = given.filter(|actual| *actual != shape) {
-            return Err(mismatch("the input", &shape, &actual));
-        }
-        // tract would round in operators of their own, slower than not at all.
-        let proto = forms::unrounded(proto);
-        let model =
-            operators::model(&proto, shape).and_then(TypedModel::into_optimized).map_err(load)?;
-        let output = model.output_fact(0).map_err(load)?;
-        let actual: Vec<usize> = output.shape.as_concrete().map(<[_]>::to_vec).unwrap_or_default();
-        let expected = head.output_shape();
-        if actual != expected {
-            return Err(mismatch("the output", &expected, &actual));
-        }
-        let plan = model.into_runnable().map_err(load)?;
-        Ok(Self::Tract { plan, shape, planes: vec![0.0; 3 * height * width], why })
+        Ok(Self { state, whole, gate: None, shape, planes, outputs: tvec!(), left })
     }
 
-    fn on_kernels(proto: &ModelProto, precision: Precision) -> Result<Lowered, String> {
-        let isa = match precision {
-            Precision::Portable => Isa::Portable,
-            Precision::AsStored | Precision::Float => Isa::best(),
-        };
-        let graph = proto.graph.as_ref().ok_or("a file without a graph")?;
-        lower(graph, precision == Precision::Float, isa)
+    /// Columns and rows of its input.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.shape[3], self.shape[2]]
     }
 
-    /// In words.
+    /// Shapes of its outputs.
+    pub(super) fn output_shapes(&self) -> Vec<Vec<usize>> {
+        let model = self.state.model();
+        let shape = |outlet| Some(model.outlet_fact(outlet).ok()?.shape.as_concrete()?.to_vec());
+        model.outputs.iter().map(|outlet| shape(*outlet).unwrap_or_default()).collect()
+    }
+
+    /// From here on, only cells are looked at in which a score of `head` may reach its
+    /// threshold.
+    pub(super) fn look_for(&mut self, head: &Head) {
+        let subnet = self.whole.and_then(|id| self.state.model().node(id).op_as::<Subnet>());
+        let parts = subnet.and_then(Subnet::parts).unwrap_or_default();
+        self.gate = Some(Gate::new(parts, &head.gate(), head.threshold()));
+    }
+
+    fn subnet(&mut self) -> Option<&mut SubnetState> {
+        self.state.op_states[self.whole?].as_mut()?.downcast_mut()
+    }
+
+    /// In words: what computes, and of what is left to tract the first.
     pub(super) fn describe(&self) -> String {
-        match self {
-            Self::Kernels { net, .. } => {
-                let kind = if net.input_steps().is_some() { "int8" } else { "f32" };
-                format!("{kind} kernels, {}", net.isa().name())
+        let kernels: Vec<&Subnet> =
+            self.state.model().nodes().iter().filter_map(|node| node.op_as::<Subnet>()).collect();
+        let first = kernels.first().map(|subnet| {
+            let kind = if subnet.is_quantised() { "int8" } else { "f32" };
+            format!("{kind} kernels, {}", subnet.isa().name())
+        });
+        let on_kernels: usize = kernels.iter().map(|subnet| subnet.nodes()).sum();
+        let why = self
+            .left
+            .first()
+            .map(|left| format!("{} {}: {}", left.operator, left.node, left.reason));
+        match (first, why) {
+            (Some(kernels), None) => kernels,
+            (Some(kernels), Some(why)) => {
+                let all = on_kernels + self.left.len();
+                format!("{kernels} for {on_kernels} of {all} nodes, tract for the rest ({why})")
             }
-            Self::Tract { why, .. } => format!("tract ({why})"),
+            (None, why) => format!("tract ({})", why.unwrap_or_default()),
         }
+    }
+
+    /// What stays with tract.
+    pub(super) fn left(&self) -> &[LeftToTract] {
+        &self.left
     }
 
     /// Where the next picture goes.
     pub(super) fn input(&mut self) -> Into<'_> {
-        match self {
-            Self::Tract { planes, .. } => Into::Planes(planes),
-            Self::Kernels { net, .. } => match net.input_steps() {
-                Some(steps) => Into::Steps(net.input_bytes(), steps),
-                None => Into::Pixels(net.input_floats()),
-            },
+        if self.whole.is_none() {
+            return Into::Planes(&mut self.planes);
         }
+        match self.subnet().map(SubnetState::input) {
+            Some(Input::Bytes(bytes, quant)) => Into::Quantised(bytes, quant),
+            Some(Input::Floats(floats)) => Into::Pixels(floats),
+            None => Into::Planes(&mut []),
+        }
+    }
+
+    fn tensor(&self) -> Result<TVec<TValue>, String> {
+        let tensor = Tensor::from_shape(&self.shape, &self.planes);
+        Ok(tvec!(tensor.map_err(|error| format!("{error:#}"))?.into()))
     }
 
     /// Computes.
-    pub(super) fn run(&mut self) -> Result<Output, String> {
-        match self {
-            Self::Kernels { net, .. } => {
-                net.run();
-                Ok(Output::Inside)
-            }
-            Self::Tract { plan, shape, planes, .. } => {
-                let failed = |error: TractError| format!("{error:#}");
-                let tensor = Tensor::from_shape(&shape[..], planes).map_err(failed)?;
-                let output = plan.run(tvec!(tensor.into())).map_err(failed)?;
-                let first = output.into_iter().next();
-                first.map(Output::Tract).ok_or_else(|| "the model has no output".to_owned())
-            }
+    pub(super) fn run(&mut self) -> Result<(), String> {
+        if let Some(subnet) = self.subnet() {
+            subnet.run();
+            return Ok(());
         }
+        let input = self.tensor()?;
+        self.outputs = self.state.run(input).map_err(|error| format!("{error:#}"))?;
+        Ok(())
     }
 
-    /// Adds the candidates of `output`.
+    /// Computes `turns` times, and says what took which share of the time.
+    pub(super) fn shares(&mut self, turns: usize) -> Result<Vec<Share>, String> {
+        if self.whole.is_some() {
+            let by = self.describe();
+            return Ok(vec![Share { by, nodes: 1, of_time: 1.0 }]);
+        }
+        let mut times: BTreeMap<usize, Duration> = BTreeMap::new();
+        for _ in 0..turns.max(1) {
+            let input = self.tensor()?;
+            let done = self.state.run_plan_with_eval(input, |context, state, node, inputs| {
+                let begun = Instant::now();
+                let made = plan::eval(context, state, node, inputs);
+                *times.entry(node.id).or_default() += begun.elapsed();
+                made
+            });
+            done.map_err(|error| format!("{error:#}"))?;
+        }
+        let mut shares: BTreeMap<String, (usize, Duration)> = BTreeMap::new();
+        for (id, time) in times {
+            let node = self.state.model().node(id);
+            let by = match node.op_as::<Subnet>() {
+                Some(subnet) => {
+                    let kind = if subnet.is_quantised() { "int8" } else { "f32" };
+                    format!("{kind} kernels, {}", subnet.isa().name())
+                }
+                None => format!("tract, {}", node.op.name()),
+            };
+            let share = shares.entry(by).or_default();
+            *share = (share.0 + 1, share.1 + time);
+        }
+        let all: Duration = shares.values().map(|(_, time)| *time).sum();
+        let part = |time: Duration| time.as_secs_f64() / all.as_secs_f64().max(1e-9);
+        let mut shares: Vec<Share> = shares
+            .into_iter()
+            .map(|(by, (nodes, time))| Share { by, nodes, of_time: part(time) })
+            .collect();
+        shares.sort_by(|a, b| b.of_time.total_cmp(&a.of_time));
+        Ok(shares)
+    }
+
+    /// Adds the candidates of what was computed last.
     pub(super) fn read(
         &mut self,
-        output: &Output,
         head: &Head,
         candidates: &mut Vec<Detection>,
     ) -> Result<(), String> {
-        match (self, output) {
-            (Self::Kernels { net, levels, tail, row }, Output::Inside) => {
-                for level in 0..*levels {
-                    for (cell, raw) in head.cells(level).zip(net.output(level)) {
-                        if tail.may_count(raw) {
-                            tail.complete(raw, row);
-                            head.consider(row, cell, candidates);
-                        }
-                    }
+        if let (Some(id), Some(gate)) = (self.whole, &self.gate) {
+            let state = self.state.op_states[id].as_mut();
+            let subnet = state.and_then(|state| state.downcast_mut::<SubnetState>());
+            let subnet = subnet.ok_or("the net has lost its memory")?;
+            let found = subnet.rows(0, gate, |cell, row| {
+                match head.consider(row, head.cell(cell), candidates) {
+                    Ok(()) => ControlFlow::Continue(()),
+                    Err(why) => ControlFlow::Break(why),
                 }
-                Ok(())
-            }
-            (_, Output::Tract(value)) => {
-                let view =
-                    value.to_plain_array_view::<f32>().map_err(|error| format!("{error:#}"))?;
-                head.read(view.as_slice().unwrap_or_default(), candidates);
-                Ok(())
-            }
-            (Self::Tract { .. }, Output::Inside) => Err("an output of another net".to_owned()),
+            });
+            return match found {
+                ControlFlow::Continue(()) => Ok(()),
+                ControlFlow::Break(why) => Err(why),
+            };
         }
+        let slices: Result<TVec<&[f32]>, String> = self
+            .outputs
+            .iter()
+            .map(|value| {
+                let view = value.try_as_plain_ram().map_err(|error| format!("{error:#}"))?;
+                view.as_slice::<f32>().map_err(|error| format!("{error:#}"))
+            })
+            .collect();
+        head.read(&slices?, candidates)
     }
+}
+
+/// The node that is the whole of `model`, if there is one and it gives rows of cells.
+fn whole(model: &TypedModel) -> Option<usize> {
+    let ([input], [output]) = (&model.inputs[..], &model.outputs[..]) else { return None };
+    let node = model.node(output.node);
+    node.op_as::<Subnet>()?.parts()?;
+    (node.inputs[..] == [*input]).then_some(node.id)
 }

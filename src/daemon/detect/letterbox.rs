@@ -7,7 +7,7 @@
 
 use super::sidecar::Normalisation;
 use crate::daemon::frame::{Picture, PixelBox, Region};
-use verge_kernels::Steps;
+use verge_kernels::QuantParams;
 
 /// Value of the bars beside a picture of another shape, before normalisation.
 const BAR: f32 = 114.0;
@@ -23,7 +23,7 @@ pub(super) enum Into<'a> {
     /// Row by row, three values a pixel.
     Pixels(&'a mut [f32]),
     /// As `Pixels`, in steps.
-    Steps(&'a mut [u8], Steps),
+    Quantised(&'a mut [u8], QuantParams),
 }
 
 /// What is needed to fill a net's input. Everything is kept between pictures.
@@ -87,7 +87,7 @@ impl Letterbox {
         }
         // What a byte of each channel becomes: factor and summand.
         let (unit, zero) = match &into {
-            Into::Steps(_, steps) => (1.0 / steps.scale, f32::from(steps.zero)),
+            Into::Quantised(_, steps) => (1.0 / steps.scale, f32::from(steps.zero_point)),
             _ => (1.0, 0.0),
         };
         let values = self
@@ -147,7 +147,7 @@ impl Letterbox {
                 }
             }
             Into::Pixels(pixels) => pixels[values].copy_from_slice(&self.mixed),
-            Into::Steps(pixels, _) => {
+            Into::Quantised(pixels, _) => {
                 for (out, value) in pixels[values].iter_mut().zip(&self.mixed) {
                     let value = (value.clamp(0.0, 255.0) + ROUND) - ROUND;
                     *out = value as i32 as u8;
@@ -324,9 +324,9 @@ mod tests {
         let planes = planes(&mut letterbox, &tall);
         let mut pixels = vec![f32::NAN; letterbox.len()];
         letterbox.fill(&tall, Region::whole(&tall), Into::Pixels(&mut pixels));
-        let steps = Steps { scale: 0.02, zero: 110 };
+        let steps = QuantParams { scale: 0.02, zero_point: 110 };
         let mut bytes = vec![1; letterbox.len()];
-        letterbox.fill(&tall, Region::whole(&tall), Into::Steps(&mut bytes, steps));
+        letterbox.fill(&tall, Region::whole(&tall), Into::Quantised(&mut bytes, steps));
         for (i, &value) in pixels.iter().enumerate() {
             assert_eq!(value, planes[i % 3 * 256 + i / 3]);
             let expected = (value / steps.scale + 110.0).clamp(0.0, 255.0);

@@ -1,26 +1,24 @@
 //! Detect: the second stage, from a picture to [`Detection`]s.
 //!
 //! Owns the model: its sidecar, its input, its output, non-maximum suppression. The door
-//! of tract; its errors stop here. A graph that is recognised as a whole runs on the project's own
-//! kernels, any other in tract.
+//! of tract; its errors stop here. tract reads and plans the net; what the project's own kernels
+//! know of it is computed on them, the rest in tract.
 
 mod engine;
-mod forms;
-mod graph;
+mod guess;
 mod head;
+mod inspect;
 mod letterbox;
-mod lower;
+mod load;
 mod merge;
 mod nms;
-mod onnx;
-mod operators;
 pub mod regions;
+mod self_test;
 mod sidecar;
-mod tail;
 
-pub use engine::Precision;
-pub use forms::{Forms, forms};
-pub use sidecar::{Sidecar, SidecarError};
+pub use engine::{Precision, Share};
+pub use inspect::{Inspection, inspect};
+pub use sidecar::{HeadKind, HeadSpec, Sidecar, SidecarError};
 
 use super::frame::{Detection, Picture, Region};
 use crate::lane::Name;
@@ -28,7 +26,9 @@ use crate::wire::{ModelRef, hex};
 use engine::Engine;
 use head::Head;
 use letterbox::Letterbox;
+use load::{Refused, Wanted};
 use sha2::{Digest, Sha256};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 /// Most boxes of one picture that reach non-maximum suppression, best first: eight lanes
@@ -64,7 +64,7 @@ pub enum ModelError {
         /// The hash of the file.
         actual: String,
     },
-    /// The file is no model that tract runs.
+    /// tract cannot run the file.
     #[error("model {}: cannot be loaded: {reason}", path.display())]
     Load {
         /// The model file.
@@ -80,11 +80,31 @@ pub enum ModelError {
         path: PathBuf,
         /// Input or output.
         what: &'static str,
-        /// The shape that follows from the sidecar.
-        expected: Vec<usize>,
+        /// The shapes that follow from the sidecar.
+        expected: Vec<Vec<usize>>,
         /// The model's own.
-        actual: Vec<usize>,
+        actual: Vec<Vec<usize>>,
     },
+    /// It does not find what it must in the known picture.
+    #[error("model {}: it failed its test: {reason}", path.display())]
+    SelfTest {
+        /// The model file.
+        path: PathBuf,
+        /// What differs.
+        reason: String,
+    },
+}
+
+/// How a model is loaded, beside what its sidecar says.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LoadOptions {
+    /// Least score, in place of the sidecar's.
+    pub score: Option<f32>,
+    /// Columns and rows of the net's input, in place of the sidecar's: the same weights over a
+    /// larger or smaller picture. Both sides are multiples of 32.
+    pub input_px: Option<[usize; 2]>,
+    /// The arithmetic.
+    pub precision: Precision,
 }
 
 /// A picture that could not be searched.
@@ -135,38 +155,100 @@ impl Detector {
     /// # Errors
     /// [`ModelError`] where the files are missing, damaged, or do not fit each other.
     pub fn load(path: &Path, score: Option<f32>) -> Result<Self, ModelError> {
-        Self::load_as(path, score, Precision::AsStored)
+        Self::load_as(path, &LoadOptions { score, ..LoadOptions::default() })
     }
 
-    /// As [`Self::load`], in the arithmetic that is asked for.
+    /// As [`Self::load`], with all that can be asked for.
     ///
     /// # Errors
-    /// [`ModelError`] where the files are missing, damaged, or do not fit each other.
-    pub fn load_as(
-        path: &Path,
-        score: Option<f32>,
-        precision: Precision,
-    ) -> Result<Self, ModelError> {
+    /// [`ModelError`] where the files are missing, damaged, or do not fit each other, and where
+    /// the net cannot take an input of the size that is asked for.
+    pub fn load_as(path: &Path, options: &LoadOptions) -> Result<Self, ModelError> {
+        let LoadOptions { score, input_px, precision } = *options;
         let (mut sidecar, sidecar_path, path) = Sidecar::find(path)?;
-        if let Some(score) = score {
-            sidecar.thresholds.score = score;
-        }
         let bytes = std::fs::read(&path)
             .map_err(|source| ModelError::Read { path: path.clone(), source })?;
         let sha256: [u8; 32] = Sha256::digest(&bytes).into();
         let actual = hex(&sha256).as_str().to_owned();
-        if sidecar.sha256 != actual {
+        if !sidecar.sha256.eq_ignore_ascii_case(&actual) {
             let expected = sidecar.sha256;
             return Err(ModelError::Hash { path, sidecar: sidecar_path, expected, actual });
         }
-        let head = Head::new(&sidecar);
-        let engine = Engine::load(&path, bytes, &sidecar, &head, precision)?;
+        let stored = [sidecar.input.width_px, sidecar.input.height_px];
+        let input_px = input_px.filter(|size| *size != stored);
+        if let Some(size) = input_px {
+            sidecar.set_input(size, &sidecar_path)?;
+        }
+        let wanted =
+            Wanted { stored: Some(stored), size: Some(input_px.unwrap_or(stored)), precision };
+        let mut engine = Engine::load(&path, bytes, &wanted).map_err(|refused| match refused {
+            Refused::Reason(reason) => ModelError::Load { path: path.clone(), reason },
+            Refused::Input(actual) => ModelError::Shape {
+                path: path.clone(),
+                what: "the input",
+                expected: vec![vec![1, 3, stored[1], stored[0]]],
+                actual: vec![actual],
+            },
+        })?;
+        let outputs = engine.output_shapes();
+        let (spec, guessed) = guess::resolve(&sidecar, &outputs)
+            .map_err(|reason| ModelError::Load { path: path.clone(), reason })?;
+        if guessed {
+            log::warn!(
+                "model {}: its sidecar names no head; outputs of {outputs:?} look like {} with {} \
+                 classes (say head = \"{}\" if that is right)",
+                path.display(),
+                spec.kind.name(),
+                spec.classes,
+                spec.kind.name()
+            );
+        }
+        if spec.kind != HeadKind::End2end {
+            sidecar.check_classes(spec.classes).map_err(|(key, reason)| SidecarError::Value {
+                path: sidecar_path.clone(),
+                key,
+                reason,
+            })?;
+        }
+        let head = Head::new(&spec, &sidecar, &outputs).map_err(|expected| ModelError::Shape {
+            path: path.clone(),
+            what: "the output",
+            expected,
+            actual: outputs.clone(),
+        })?;
+        engine.look_for(&head);
         let passes = vec![Pass::new(None, &sidecar)];
         let name = Name::try_from(sidecar.name.as_str()).unwrap_or_default();
         let candidates = Vec::with_capacity(MAX_CANDIDATES);
         let model = ModelRef { name, sha256 };
         let close = Vec::new();
-        Ok(Self { file: path, engine, sidecar, model, head, passes, candidates, close })
+        let mut detector =
+            Self { file: path, engine, sidecar, model, head, passes, candidates, close };
+        detector.self_test(input_px.is_none())?;
+        if let Some(score) = score {
+            detector.sidecar.thresholds.score = score;
+            detector.head.set_threshold(score);
+            detector.engine.look_for(&detector.head);
+        }
+        Ok(detector)
+    }
+
+    /// Searches the known picture. Where the sidecar says what is in it, and `as_stored` at the
+    /// size of the file, that must be found; always every number must be one.
+    fn self_test(&mut self, as_stored: bool) -> Result<(), ModelError> {
+        let mut found = Vec::new();
+        let picture = self_test::picture();
+        let searched = catch_unwind(AssertUnwindSafe(|| self.detect(&picture, &mut found)));
+        let failed = |reason| ModelError::SelfTest { path: self.file.clone(), reason };
+        match searched {
+            Err(_) => return Err(failed("tract gave up while it ran".to_owned())),
+            Ok(Err(error)) => return Err(failed(error.reason)),
+            Ok(Ok(())) => {}
+        }
+        match &self.sidecar.self_test {
+            Some(known) if as_stored => self_test::compare(&found, known).map_err(failed),
+            _ => Ok(()),
+        }
     }
 
     /// The model file.
@@ -234,9 +316,18 @@ impl Detector {
         Ok(())
     }
 
-    /// What computes: tract, or the instruction set of the kernels with the reason why not.
+    /// What computes: the instruction set of the kernels, and what is left to tract.
     pub fn runs_on(&self) -> String {
         self.engine.describe()
+    }
+
+    /// What computes which part of the net, with its share of the time, largest first: from
+    /// `turns` runs over what was searched last.
+    ///
+    /// # Errors
+    /// [`DetectError`] where inference fails.
+    pub fn shares(&mut self, turns: usize) -> Result<Vec<Share>, DetectError> {
+        self.engine.shares(turns).map_err(|reason| DetectError { reason })
     }
 
     /// First step of a pass: its part of the picture into the net's input.
@@ -250,23 +341,23 @@ impl Detector {
     /// # Errors
     /// [`DetectError`] where inference fails.
     pub fn infer(&mut self) -> Result<Inferred, DetectError> {
-        self.engine.run().map(Inferred).map_err(|reason| DetectError { reason })
+        self.engine.run().map(|()| Inferred(())).map_err(|reason| DetectError { reason })
     }
 
     /// Third step: the net's output into boxes, beside what the passes before have `found`.
     ///
     /// # Errors
-    /// [`DetectError`] where the output is not made of 32-bit floats.
+    /// [`DetectError`] where a score or a box is not a number.
     pub fn read(
         &mut self,
         picture: &Picture,
         pass: usize,
-        output: &Inferred,
+        _output: &Inferred,
         found: &mut Vec<Detection>,
     ) -> Result<(), DetectError> {
         self.candidates.clear();
         self.engine
-            .read(&output.0, &self.head, &mut self.candidates)
+            .read(&self.head, &mut self.candidates)
             .map_err(|reason| DetectError { reason })?;
         let thresholds = &self.sidecar.thresholds;
         let Pass { letterbox, .. } = &self.passes[pass];
@@ -284,6 +375,6 @@ impl Detector {
     }
 }
 
-/// What the net gave for one picture, until the next one is prepared.
+/// That the net has given its output for one picture; it is there until the next one is prepared.
 #[derive(Debug)]
-pub struct Inferred(engine::Output);
+pub struct Inferred(());

@@ -26,6 +26,10 @@ const KNOWN: &[(&str, &str)] = &[
 /// Largest side of a model's input, px.
 const MAX_INPUT_PX: usize = 4096;
 
+/// What an input that is not the file's is a multiple of, px: the cells of stride 32 that are
+/// enlarged meet those of stride 16, and theirs those of stride 8.
+const INPUT_STEP_PX: usize = 32;
+
 /// Why a sidecar cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SidecarError {
@@ -76,18 +80,31 @@ pub struct Sidecar {
     pub name: String,
     /// The model file, relative to the sidecar.
     pub file: PathBuf,
-    /// SHA-256 of the model file, hexadecimal.
+    /// SHA-256 of the model file, hexadecimal, in small letters or capitals.
     pub sha256: String,
     /// Licence of the weights.
     pub licence: String,
     /// How it is fed.
     pub input: Input,
-    /// How its output is read.
-    pub head: HeadSpec,
+    /// How its output is read: a word, or a table where more is to be said. Without it the shape
+    /// of the output decides.
+    #[serde(default)]
+    pub head: Option<HeadKey>,
     /// Which score columns are vehicles.
     pub class: Vec<ClassColumn>,
     /// What counts as found.
     pub thresholds: Thresholds,
+    /// What it finds in the known picture that is searched when it is loaded.
+    #[serde(default)]
+    pub self_test: Option<SelfTest>,
+}
+
+/// What a model must find in the known picture (`self_test.rs`).
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SelfTest {
+    /// Left, upper, right, lower edge in pixels of the known picture, and score.
+    pub boxes: Vec<[f32; 5]>,
 }
 
 /// How a model is fed: one picture as planes of 32-bit floats, `[1, 3, height, width]`.
@@ -129,15 +146,13 @@ impl Input {
 }
 
 /// How a model's output is read.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HeadSpec {
     /// Which decoding.
     pub kind: HeadKind,
     /// Cell sizes of the output's levels, px, in their order.
     pub strides: Vec<usize>,
-    /// Bins of each side's distance (NanoDet-Plus only).
-    #[serde(default)]
+    /// Bins of each side's distance (NanoDet-Plus and PicoDet).
     pub bins: usize,
     /// Score columns.
     pub classes: usize,
@@ -147,10 +162,109 @@ pub struct HeadSpec {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HeadKind {
-    /// Scores after a sigmoid, then four distances as distributions over bins.
+    /// Scores after a sigmoid, then four distances as distributions over bins: `[1, n, c + 4b]`.
+    #[serde(alias = "nanodet", alias = "nanodet_plus")]
     NanodetPlus,
-    /// Centre, size as logarithm, objectness, scores.
+    /// The same with cells about their middle: scores by level, then distances by level.
+    Picodet,
+    /// Centre, size as logarithm, objectness, scores in cells: `[1, n, 5 + c]`.
     Yolox,
+    /// The same in pixels.
+    #[serde(alias = "yolox_decoded")]
+    YoloxDecoded,
+    /// Centre, size, objectness, scores in pixels: `[1, n, 5 + c]`.
+    Yolov5,
+    /// YOLOv8 and v11: centre, size, scores in pixels: `[1, 4 + c, n]`.
+    #[serde(alias = "yolov11", alias = "yolo11")]
+    Yolov8,
+    /// Suppressed in the net: edges, score, class: `[1, n, 6]`.
+    #[serde(alias = "end-to-end", alias = "end_to_end")]
+    End2end,
+}
+
+impl HeadKind {
+    /// As it is written in a sidecar.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NanodetPlus => "nanodet-plus",
+            Self::Picodet => "picodet",
+            Self::Yolox => "yolox",
+            Self::YoloxDecoded => "yolox-decoded",
+            Self::Yolov5 => "yolov5",
+            Self::Yolov8 => "yolov8",
+            Self::End2end => "end2end",
+        }
+    }
+
+    fn strides(self) -> &'static [usize] {
+        match self {
+            Self::NanodetPlus | Self::Picodet => &[8, 16, 32, 64],
+            _ => &[8, 16, 32],
+        }
+    }
+}
+
+/// The key `head`: a kind, with what is not as usual.
+#[derive(Clone, Debug)]
+pub struct HeadKey {
+    kind: HeadKind,
+    strides: Option<Vec<usize>>,
+    bins: Option<usize>,
+    classes: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HeadTable {
+    kind: HeadKind,
+    strides: Option<Vec<usize>>,
+    bins: Option<usize>,
+    classes: Option<usize>,
+}
+
+impl<'de> Deserialize<'de> for HeadKey {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl<'de> serde::de::Visitor<'de> for Visitor {
+            type Value = HeadKey;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("the name of a head, or a table with its kind")
+            }
+
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<HeadKey, E> {
+                use serde::de::IntoDeserializer;
+                let kind = HeadKind::deserialize(name.into_deserializer())?;
+                Ok(HeadKey { kind, strides: None, bins: None, classes: None })
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<HeadKey, A::Error> {
+                let from = serde::de::value::MapAccessDeserializer::new(map);
+                let HeadTable { kind, strides, bins, classes } = HeadTable::deserialize(from)?;
+                Ok(HeadKey { kind, strides, bins, classes })
+            }
+        }
+        from.deserialize_any(Visitor)
+    }
+}
+
+impl HeadKey {
+    /// With what the sidecar leaves out, as outputs of these shapes have it.
+    pub(super) fn spec(&self, outputs: &[Vec<usize>]) -> HeadSpec {
+        let kind = self.kind;
+        let strides = self.strides.clone().unwrap_or_else(|| kind.strides().to_vec());
+        let bins = self.bins.unwrap_or(8);
+        let axis = |index: usize| outputs.first().and_then(|shape| shape.get(index)).copied();
+        let (a, b) = (axis(1).unwrap_or(0), axis(2).unwrap_or(0));
+        let classes = self.classes.unwrap_or(match kind {
+            HeadKind::NanodetPlus => b.saturating_sub(4 * bins),
+            HeadKind::Picodet => b,
+            HeadKind::Yolox | HeadKind::YoloxDecoded | HeadKind::Yolov5 => b.saturating_sub(5),
+            HeadKind::Yolov8 => a.min(b).saturating_sub(4),
+            HeadKind::End2end => 0,
+        });
+        HeadSpec { kind, strides, bins, classes }
+    }
 }
 
 /// One score column that is a vehicle.
@@ -198,11 +312,30 @@ impl Sidecar {
         let hash = crate::wire::hex(&digest.into());
         for (name, text) in KNOWN {
             let sidecar = Self::parse(text, Path::new(name))?;
-            if sidecar.sha256 == hash.as_str() {
+            if sidecar.sha256.eq_ignore_ascii_case(hash.as_str()) {
                 return Ok((sidecar, PathBuf::from(name), path.to_owned()));
             }
         }
         Err(SidecarError::Unknown { model: path.to_owned(), sidecar: beside })
+    }
+
+    /// Takes an input of `size`, columns and rows, in place of its own.
+    pub(super) fn set_input(&mut self, size: [usize; 2], path: &Path) -> Result<(), SidecarError> {
+        let [width, height] = size;
+        let wrong =
+            size.iter().any(|side| *side == 0 || *side > MAX_INPUT_PX || side % INPUT_STEP_PX != 0);
+        if wrong {
+            return Err(SidecarError::Value {
+                path: path.to_owned(),
+                key: "input",
+                reason: format!(
+                    "{width}x{height} px is asked for, each side must be a multiple of \
+                     {INPUT_STEP_PX} up to {MAX_INPUT_PX}"
+                ),
+            });
+        }
+        (self.input.width_px, self.input.height_px) = (width, height);
+        Ok(())
     }
 
     fn read(path: &Path) -> Result<Self, SidecarError> {
@@ -240,34 +373,51 @@ impl Sidecar {
             format!("{width}x{height} px, each side must be 1 to {MAX_INPUT_PX}"),
         )?;
         known(
+            self.input.mean.iter().all(|mean| mean.is_finite()),
+            "input.mean",
+            format!("{:?}, all must be numbers", self.input.mean),
+        )?;
+        known(
             self.input.std.iter().all(|std| std.is_normal()),
             "input.std",
-            format!("{:?}, none may be 0", self.input.std),
+            format!("{:?}, all must be numbers and none 0", self.input.std),
         )?;
-        known(
-            !self.head.strides.is_empty() && self.head.strides.iter().all(|&s| s > 0),
-            "head.strides",
-            format!("{:?}, at least one, all over 0", self.head.strides),
-        )?;
-        known(
-            self.head.kind != HeadKind::NanodetPlus || (2..=64).contains(&self.head.bins),
-            "head.bins",
-            format!("{}, nanodet-plus needs 2 to 64", self.head.bins),
-        )?;
-        known(!self.class.is_empty(), "class", "none named, so nothing would be found".into())?;
-        for column in &self.class {
+        if let Some(HeadKey { strides, bins, .. }) = &self.head {
+            let strides = strides.as_deref().unwrap_or(&[8]);
             known(
-                column.index < self.head.classes,
-                "class.index",
-                format!("{} of {} columns", column.index, self.head.classes),
+                !strides.is_empty() && strides.iter().all(|&s| s > 0),
+                "head.strides",
+                format!("{strides:?}, at least one, all over 0"),
             )?;
+            let bins = bins.unwrap_or(8);
+            known((2..=64).contains(&bins), "head.bins", format!("{bins}, 2 to 64 are possible"))?;
         }
+        known(!self.class.is_empty(), "class", "none named, so nothing would be found".into())?;
+        if let Some(HeadKey { classes: Some(classes), .. }) = &self.head {
+            self.check_classes(*classes)?;
+        }
+        let finite = |test: &SelfTest| test.boxes.iter().flatten().all(|value| value.is_finite());
+        known(
+            self.self_test.as_ref().is_none_or(finite),
+            "self_test.boxes",
+            "all must be numbers".to_owned(),
+        )?;
         let Thresholds { score, iou, ios } = self.thresholds;
         known(
             [score, iou, ios].into_iter().all(in_range),
             "thresholds",
             format!("{:?}, all must be 0 to 1", self.thresholds),
         )
+    }
+}
+
+impl Sidecar {
+    /// Whether all classes are among `classes` score columns.
+    pub(super) fn check_classes(&self, classes: usize) -> Result<(), (&'static str, String)> {
+        match self.class.iter().find(|column| column.index >= classes) {
+            Some(column) => Err(("class.index", format!("{} of {classes} columns", column.index))),
+            None => Ok(()),
+        }
     }
 }
 
@@ -291,6 +441,11 @@ mod tests {
             ("index = 2\n", "index = 80\n", "class.index"),
             ("iou = 0.6", "iou = 60", "thresholds"),
             ("57.375", "0.0", "input.std"),
+            ("57.375", "inf", "input.std"),
+            ("103.53", "nan", "input.mean"),
+            ("score = 0.3", "score = nan", "thresholds"),
+            ("\"nanodet-plus\"", "\"nanodet-minus\"", "nanodet-minus"),
+            ("bins = 8", "boxes = 8", "boxes"),
             ("licence", "license", "license"),
             ("\"car\"", "\"tram\"", "tram"),
         ] {
@@ -298,6 +453,30 @@ mod tests {
             assert_ne!(bad, good, "{from}");
             let error = Sidecar::parse(&bad, Path::new("x.toml")).expect_err(key).to_string();
             assert!(error.contains(key) && error.contains("x.toml"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_head_is_a_word_a_table_or_left_out() {
+        let good = KNOWN[0].1;
+        let (start, rest) = good.split_once("[head]").expect("a table");
+        let (_, rest) = rest.split_once("\n\n").expect("a table behind it");
+        let without = format!("{start}{rest}");
+        assert!(Sidecar::parse(&without, Path::new("x.toml")).expect("right").head.is_none());
+        for (name, kind) in [
+            ("yolox_decoded", HeadKind::YoloxDecoded),
+            ("yolox-decoded", HeadKind::YoloxDecoded),
+            ("yolov8", HeadKind::Yolov8),
+            ("nanodet", HeadKind::NanodetPlus),
+            ("end2end", HeadKind::End2end),
+        ] {
+            let text = format!("head = \"{name}\"\n{without}");
+            let sidecar = Sidecar::parse(&text, Path::new("x.toml")).expect(name);
+            let spec = sidecar.head.expect("named").spec(&[vec![1, 84, 6300]]);
+            assert_eq!(spec.kind, kind);
+            if kind == HeadKind::Yolov8 {
+                assert_eq!(spec.classes, 80);
+            }
         }
     }
 }

@@ -1,0 +1,120 @@
+//! Which nodes of a model go onto the kernels together.
+//!
+//! Owns the colouring. All nodes that are recognised and of one colour become one operator;
+//! what is not recognised stays with tract, node by node, between them.
+
+use crate::graph::{QuantisedConstants, Refusal, View};
+use crate::lower::{Lowered, Lowering};
+use std::collections::{BTreeMap, HashMap, HashSet};
+use tract_core::internal::*;
+use tract_core::ops::konst::Const;
+use verge_kernels::Isa;
+
+/// A region that goes onto the kernels.
+#[derive(Debug)]
+pub(crate) struct Region {
+    pub(crate) nodes: usize,
+    pub(crate) lowered: Lowered,
+}
+
+/// What was recognised, and why the rest was not.
+#[derive(Debug)]
+pub(crate) struct Partition {
+    pub(crate) regions: Vec<Region>,
+    pub(crate) refused: BTreeMap<usize, Refusal>,
+}
+
+/// Nodes whose values follow from the model's input, in the order of evaluation.
+fn computed(model: &TypedModel) -> TractResult<(Vec<usize>, HashSet<usize>)> {
+    let mut set: HashSet<usize> = model.inputs.iter().map(|input| input.node).collect();
+    let mut order = Vec::new();
+    for id in model.eval_order()? {
+        let node = model.node(id);
+        if !set.contains(&id) && node.inputs.iter().any(|input| set.contains(&input.node)) {
+            set.insert(id);
+            // What the shape alone decides is constant.
+            if !node.op_is::<Const>() {
+                order.push(id);
+            }
+        }
+    }
+    Ok((order, set))
+}
+
+/// The colour of each node: as large as that of what it reads, and one more wherever a value
+/// crosses between tract and the kernels. A way out of a region never leads back into it.
+fn colours(
+    model: &TypedModel,
+    order: &[usize],
+    refused: &BTreeMap<usize, Refusal>,
+) -> HashMap<usize, usize> {
+    let mut colours: HashMap<usize, usize> = HashMap::new();
+    for &id in order {
+        let ours = !refused.contains_key(&id);
+        let from = model.node(id).inputs.iter().filter_map(|input| {
+            let colour = colours.get(&input.node)?;
+            let crossed = refused.contains_key(&input.node) == ours;
+            Some(colour + usize::from(crossed))
+        });
+        let colour = from.max().unwrap_or(0);
+        colours.insert(id, colour);
+    }
+    colours
+}
+
+/// Puts as much of `model` as is recognised onto the kernels of `isa`.
+pub(crate) fn partition(
+    model: &TypedModel,
+    quantised: &QuantisedConstants,
+    isa: Isa,
+) -> TractResult<Partition> {
+    let view = View { model, quantised };
+    let (order, computed) = computed(model)?;
+    let mut refused: BTreeMap<usize, Refusal> = BTreeMap::new();
+    loop {
+        let colours = colours(model, &order, &refused);
+        let mut regions: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for &id in order.iter().filter(|id| !refused.contains_key(id)) {
+            regions.entry(colours[&id]).or_default().push(id);
+        }
+        let before = refused.len();
+        let mut done = Vec::new();
+        for nodes in regions.values() {
+            let lowering = Lowering::new(view, &computed, nodes, isa);
+            if !lowering.refused.is_empty() {
+                refused.extend(lowering.refused);
+                continue;
+            }
+            let outputs = outputs(model, nodes);
+            let convolutions = lowering.convolutions;
+            let mut leave = |why: Refusal| {
+                refused.extend(nodes.iter().map(|&id| (id, why.clone())));
+            };
+            match lowering.finish(&outputs) {
+                Err(why) => leave(why),
+                // Each way in and out is a pass over memory, as a small convolution is.
+                Ok(lowered) if convolutions < lowered.entries.len() + lowered.exits.len() - 1 => {
+                    leave("too few convolutions between what is left to tract".to_owned());
+                }
+                Ok(lowered) => done.push(Region { nodes: nodes.len(), lowered }),
+            }
+        }
+        if refused.len() == before {
+            return Ok(Partition { regions: done, refused });
+        }
+    }
+}
+
+/// What is read outside of `nodes`.
+fn outputs(model: &TypedModel, nodes: &[usize]) -> Vec<OutletId> {
+    let inside: HashSet<usize> = nodes.iter().copied().collect();
+    let outlets = nodes
+        .iter()
+        .flat_map(|&id| (0..model.node(id).outputs.len()).map(move |slot| OutletId::new(id, slot)));
+    outlets
+        .filter(|outlet| {
+            let readers = model.outlet_successors(*outlet);
+            model.outputs.contains(outlet) || readers.iter().any(|r| !inside.contains(&r.node))
+        })
+        .collect()
+}

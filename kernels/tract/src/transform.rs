@@ -1,0 +1,82 @@
+//! The transform that puts subgraphs of a typed model onto the kernels.
+
+use crate::graph::QuantisedConstants;
+use crate::op::Subnet;
+use crate::partition::{Partition, partition};
+use tract_core::internal::*;
+use tract_core::transform::ModelTransform;
+use verge_kernels::Isa;
+
+/// Puts every recognised subgraph of a typed model into one operator each, a [`Subnet`]. To be
+/// used before decluttering, which folds quantisation into tables.
+#[derive(Clone, Debug)]
+pub struct KernelTransform {
+    /// The instruction set of the kernels.
+    pub isa: Isa,
+    /// Whole numbers of constants that the typed model holds as floats.
+    pub quantised: QuantisedConstants,
+}
+
+impl Default for KernelTransform {
+    fn default() -> Self {
+        Self { isa: Isa::best(), quantised: QuantisedConstants::default() }
+    }
+}
+
+/// A node that stays with tract.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LeftToTract {
+    /// Its name in the model.
+    pub node: String,
+    /// Its operator.
+    pub operator: String,
+    /// Why.
+    pub reason: String,
+}
+
+impl KernelTransform {
+    /// As [`ModelTransform::transform`], and tells what stays with tract.
+    ///
+    /// # Errors
+    /// tract's, where the model is not in order.
+    pub fn apply(&self, model: &mut TypedModel) -> TractResult<Vec<LeftToTract>> {
+        let Partition { regions, refused } = partition(model, &self.quantised, self.isa)?;
+        let left = refused.into_iter().map(|(id, reason)| {
+            let node = model.node(id);
+            LeftToTract { node: node.name.clone(), operator: node.op.name().into_owned(), reason }
+        });
+        let left = left.collect();
+        for (index, region) in regions.into_iter().enumerate() {
+            let mut patch = TypedModelPatch::default();
+            let lowered = region.lowered;
+            let taps: TVec<OutletId> = lowered
+                .entries
+                .iter()
+                .map(|entry| patch.tap_model(model, entry.outlet))
+                .collect::<TractResult<_>>()?;
+            let outlets: Vec<OutletId> = lowered.exits.iter().map(|exit| exit.outlet).collect();
+            let facts = outlets.iter().map(|&outlet| {
+                let fact = model.outlet_fact(outlet)?;
+                Ok(fact.datum_type.fact(fact.shape.clone()))
+            });
+            let op = Subnet::new(lowered, facts.collect::<TractResult<_>>()?, region.nodes);
+            let wires = patch.wire_node(format!("verge.{index}"), op, &taps)?;
+            for (outlet, wire) in outlets.into_iter().zip(wires) {
+                patch.shunt_outside(model, outlet, wire)?;
+            }
+            patch.apply(model)?;
+        }
+        model.compact()?;
+        Ok(left)
+    }
+}
+
+impl ModelTransform for KernelTransform {
+    fn name(&self) -> StaticName {
+        "verge_kernels".into()
+    }
+
+    fn transform(&self, model: &mut TypedModel) -> TractResult<()> {
+        self.apply(model).map(drop)
+    }
+}

@@ -6,7 +6,8 @@
 //! with a target's name behind `fuzz` for that one alone. What has been run stands in
 //! `docs/fuzzing.md`.
 //!
-//! Targets: `pictures`, `large_pictures`, `http_answers`, `streams` (camera), `configurations`,
+//! Targets: `pictures`, `large_pictures`, `http_answers`, `streams`, `descriptions`, `packets`,
+//! `sessions` (camera), `configurations`,
 //! `lane_tables`, `spool_recovery` (files), `wire_messages`, `json_messages` (messages read
 //! back).
 
@@ -14,6 +15,7 @@
 mod common;
 mod http;
 mod mutate;
+mod rtsp;
 mod runner;
 mod streams;
 
@@ -118,6 +120,13 @@ fn pictures() {
             b"IDAT",
             b"IEND",
             b"PLTE",
+            b"iCCP",
+            b"zTXt",
+            b"iTXt",
+            b"eXIf",
+            b"Exif\0\0MM\0*",
+            b"\xff\xe1",
+            b"\xff\xc4",
             b"tRNS",
             b"acTL",
         ],

@@ -26,7 +26,7 @@ pub fn run() -> Result<(), Failure> {
     let started = Instant::now();
     let recording = recording::find()?;
     let settings = LineSettings::recorded(recording.table.as_ref(), DEFAULT_MODEL.as_ref(), WINDOW);
-    let (recorded, mut line) = open_recording(&settings, recording.frames.as_ref(), None)?;
+    let (recorded, mut line) = open_recording(&settings, recording.frames.as_ref(), None, 0)?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
         .map_err(|e| Failure::Internal(e.to_string()))?;

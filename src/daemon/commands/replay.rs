@@ -8,6 +8,7 @@ use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
+use crate::density::LaneReport;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -18,7 +19,7 @@ pub struct Args {
     /// Lane table; given several times, one for each preset of the camera
     #[arg(long, value_name = "FILE", required = true)]
     table: Vec<PathBuf>,
-    /// Folder of JPEG or PNG frames, played in the order of their names
+    /// Folder of JPEG or PNG frames, or of folders by day, played in the order of their times
     #[arg(long, value_name = "DIR")]
     frames: PathBuf,
     #[command(flatten)]
@@ -35,6 +36,9 @@ pub struct Args {
     /// Time between frames, s [default: from names, file times, else 120]
     #[arg(long, value_name = "S")]
     interval: Option<f64>,
+    /// Offset from UTC of times in names that state none, as +01:00
+    #[arg(long, value_name = "OFFSET", value_parser = utc_offset, default_value = "Z", allow_hyphen_values = true)]
+    utc_offset: i32,
     /// Which parts of a picture are searched
     #[arg(long, value_enum, default_value_t)]
     views: Views,
@@ -57,7 +61,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         ..LineSettings::recorded(table, &args.model.model, Duration::from_secs(args.window))
     };
     let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
-    let (recorded, mut line) = open_recording(&settings, &args.frames, interval)?;
+    let (recorded, mut line) = open_recording(&settings, &args.frames, interval, args.utc_offset)?;
     if recorded.assumes_interval() {
         log::warn!(
             "neither names nor file times tell when the frames were taken: one each {} s is \
@@ -70,6 +74,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut identity = line.identity(&site);
     let mut seq = 0;
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
+    let mut short = false;
     let mut heading = (!args.json).then_some(text::LANE_HEADING);
     play(
         recorded,
@@ -81,6 +86,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         |closed, table| {
             identity.measured_with(table);
             for report in closed {
+                let used = |lane: &LaneReport| lane.frames_used * 4 < lane.frames_expected * 3;
+                if !short && report.lanes.iter().any(used) {
+                    short = true;
+                    log::warn!(
+                        "a window has fewer than three quarters of its frames: replay gives its density all \
+                         the same, run gives null (windows.min_completeness)"
+                    );
+                }
                 if args.json {
                     seq += 1;
                     let message = identity.message(report, clock_synced, seq);
@@ -96,6 +109,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         },
     )?;
     detections.map_or(Ok(()), WholeFile::finish)
+}
+
+/// Reads an offset from UTC, s.
+fn utc_offset(text: &str) -> Result<i32, String> {
+    crate::daemon::assemble::utc_offset_s(text)
+        .ok_or_else(|| "give it as +01:00, -0530 or Z".to_owned())
 }
 
 /// Prints a line. A reader that has gone away (`| head`) ends the program in silence.

@@ -108,6 +108,7 @@ impl<R: BufRead> Objects<R> {
                 }
                 None if rest.len() < LONGEST && self.fill()? => {}
                 _ => {
+                    let rest = &self.bytes[self.at..];
                     let text = String::from_utf8_lossy(&rest[..rest.len().min(160)]);
                     let text = text.lines().next().unwrap_or_default();
                     return Ok(Some(Some(text.chars().take(40).collect())));

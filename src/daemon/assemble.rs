@@ -3,8 +3,8 @@
 //! Owns what each key of the configuration becomes. No other file gives a stage its settings.
 
 use super::capture::{
-    Credentials, DEFAULT_SIZE, DeviceSettings, MJPEG_SCHEME, MjpegSettings, Recorded,
-    SnapshotSettings, Source, SourceSettings,
+    CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Recorded, Source, SourceSettings,
+    utc_offset,
 };
 use super::config::{Config, SourceKind};
 use super::detect::Detector;
@@ -70,11 +70,17 @@ pub fn open_recording(
     windows: &WindowSettings,
     frames: &Path,
     interval: Option<Duration>,
+    utc_offset_s: i32,
 ) -> Result<(Recorded, Line, Windows<Vec<Preset>>), Failure> {
-    let recorded = Recorded::open(frames, interval)?;
+    let recorded = Recorded::open_local(frames, interval, utc_offset_s)?;
     let line = Line::open(settings)?;
     let presets = line.windows(windows, recorded.interval())?;
     Ok((recorded, line, Windows::new(presets)))
+}
+
+/// An offset from UTC as people write it, s.
+pub fn utc_offset_s(text: &str) -> Option<i32> {
+    utc_offset(text)
 }
 
 /// A detector with a recording in front, for `detect`.
@@ -92,7 +98,7 @@ pub fn open_endless(
     windows: &WindowSettings,
     frames: &Path,
 ) -> Result<(Station, Windows<Vec<Preset>>), Failure> {
-    let (recorded, line, windows) = open_recording(settings, windows, frames, None)?;
+    let (recorded, line, windows) = open_recording(settings, windows, frames, None, 0)?;
     let source = Source::Recorded(recorded.for_ever());
     Ok((Station::with(source, Frame::default(), line), windows))
 }
@@ -108,25 +114,26 @@ pub fn first_picture(config: &Config, line: Option<&Line>) -> Result<(Source, Fr
 pub fn camera(config: &Config, line: Option<&Line>) -> Result<SourceSettings, Failure> {
     let (source, interval) = (&config.camera.source, config.interval());
     let timeout = Duration::from_secs_f64(config.camera.timeout_s);
-    let credentials = || -> Result<_, Failure> {
-        Ok(config.camera_secret()?.map(|(user, password)| Credentials { user, password }))
-    };
+    let size = line.map(|line| line.preset().table().image_size);
+    let size = size.map(|size| (u32::from(size.width), u32::from(size.height)));
     Ok(match config.camera.kind() {
         SourceKind::Folder => SourceSettings::Recorded { folder: source.into(), interval },
         SourceKind::Device => {
-            let size = line.map(|line| line.preset().table().image_size);
-            let size =
-                size.map_or(DEFAULT_SIZE, |size| (u32::from(size.width), u32::from(size.height)));
+            let size = size.unwrap_or(DEFAULT_SIZE);
             SourceSettings::Device(DeviceSettings { path: source.into(), size, interval, timeout })
         }
-        SourceKind::Mjpeg => {
-            let url = source.strip_prefix(MJPEG_SCHEME).unwrap_or(source).to_owned();
-            let credentials = credentials()?;
-            SourceSettings::Mjpeg(MjpegSettings { url, credentials, interval, timeout })
-        }
-        SourceKind::Snapshot => {
-            let (url, credentials) = (source.clone(), credentials()?);
-            SourceSettings::Snapshot(SnapshotSettings { url, credentials, interval, timeout })
+        SourceKind::Network => {
+            let credentials = config.camera_secret()?;
+            SourceSettings::Network(CameraSettings {
+                address: config.camera_address()?,
+                credentials: credentials.map(|(user, password)| Credentials { user, password }),
+                trust: config.camera_trust()?,
+                redirect_hosts: config.camera.redirect_hosts.clone(),
+                interval,
+                timeout,
+                size,
+                every_picture: false,
+            })
         }
     })
 }

@@ -3,9 +3,7 @@
 //! Owns the mapping from errors to exit codes (`sysexits.h`), so that a supervisor can tell
 //! a wrong file from a missing one without reading the message.
 
-use super::capture::{
-    CaptureError, DeviceError, MjpegError, RecordingError, SnapshotError, SourceError,
-};
+use super::capture::{CaptureError, DeviceError, RecordingError, SourceError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
 use super::locate::LocateError;
@@ -28,12 +26,6 @@ pub enum Failure {
     /// A picture or the camera.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// The camera's address.
-    #[error(transparent)]
-    Snapshot(#[from] SnapshotError),
-    /// The address of the camera's stream.
-    #[error(transparent)]
-    Mjpeg(#[from] MjpegError),
     /// The camera's device.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -65,6 +57,9 @@ pub enum Failure {
         /// What to do.
         hint: &'static str,
     },
+    /// Pictures come so seldom that windows would have no density.
+    #[error("{0}")]
+    Pace(String),
     /// Every single picture of a recording failed.
     #[error("none of the {frames} frames could be measured; the first fault: {first}")]
     NothingMeasured {
@@ -150,21 +145,15 @@ impl Exit for Failure {
     fn exit_code(&self) -> u8 {
         match self {
             Self::Config(ConfigError::Read { .. }) => NOINPUT,
-            Self::Config(_) | Self::Aggregate(_) | Self::Snapshot(SnapshotError::Url { .. }) => {
-                CONFIG
-            }
+            Self::Config(_) | Self::Aggregate(_) => CONFIG,
             Self::Recording(RecordingError::Interval(_)) => CONFIG,
             Self::Recording(_) | Self::DemoFiles { .. } => NOINPUT,
             Self::Capture(CaptureError::Read { .. }) => NOINPUT,
             Self::Capture(CaptureError::Decode { .. }) => DATAERR,
-            Self::NothingMeasured { .. } | Self::Withheld { .. } => DATAERR,
-            Self::Device(DeviceError::NotBuilt { .. }) | Self::Mjpeg(MjpegError::Url { .. }) => {
-                CONFIG
-            }
+            Self::NothingMeasured { .. } | Self::Withheld { .. } | Self::Pace(_) => DATAERR,
+            Self::Device(DeviceError::NotBuilt { .. }) => CONFIG,
             Self::Capture(_) => UNAVAILABLE,
-            Self::Snapshot(_) | Self::Mjpeg(_) | Self::Device(_) | Self::OnnxRuntime(_) => {
-                UNAVAILABLE
-            }
+            Self::Device(_) | Self::OnnxRuntime(_) => UNAVAILABLE,
             Self::Broker { .. } => UNAVAILABLE,
             Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,
@@ -185,8 +174,6 @@ impl From<SourceError> for Failure {
     fn from(error: SourceError) -> Self {
         match error {
             SourceError::Recording(error) => error.into(),
-            SourceError::Snapshot(error) => error.into(),
-            SourceError::Mjpeg(error) => error.into(),
             SourceError::Device(error) => error.into(),
         }
     }

@@ -26,6 +26,33 @@ pub struct Picture {
     pub rgb: Vec<u8>,
 }
 
+/// The shape of a picture: its columns and rows, at any scale.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Columns, px.
+    pub width: u32,
+    /// Rows, px.
+    pub height: u32,
+}
+
+impl Shape {
+    /// How far columns over rows may differ: scaled pictures are rounded to whole pixels.
+    const MAX_ASPECT_ERROR: f64 = 0.01;
+
+    /// Whether a picture of this size is one of this shape, scaled.
+    pub fn admits(self, width: u32, height: u32) -> bool {
+        let aspect = |width: u32, height: u32| f64::from(width) / f64::from(height);
+        let expected = aspect(self.width, self.height);
+        (aspect(width, height) / expected - 1.0).abs() < Self::MAX_ASPECT_ERROR
+    }
+}
+
+impl std::fmt::Display for Shape {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{} px", self.width, self.height)
+    }
+}
+
 /// A rectangle of whole pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Region {

@@ -3,7 +3,7 @@
 //! Owns which point of a box stands for the vehicle, and the lane table's file. Does not
 //! count.
 
-use super::frame::{Detection, PixelBox};
+use super::frame::{Detection, PixelBox, Shape};
 use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
 use crate::scene::{MAX_REFERENCE, Reference};
 use crate::units::{ImagePoint, ImageSize, VehicleClass};
@@ -15,8 +15,6 @@ const MAX_TABLE_BYTES: u64 = (MAX_CELLS * 5 + MAX_REFERENCE + 4096) as u64;
 /// A box that ends this close to the picture's lower edge, px, is cut off by it: where the
 /// vehicle meets the road is not in the picture.
 const EDGE_PX: f32 = 0.5;
-/// Largest difference of aspect ratio between picture and table.
-const MAX_ASPECT_ERROR: f64 = 0.01;
 
 /// Which point of a box is looked up in the table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -166,12 +164,10 @@ impl Locator {
     /// [`LocateError::Shape`].
     pub fn check_size(&self, width: usize, height: usize) -> Result<ImageSize, LocateError> {
         let table = self.description().image_size;
-        let aspect = |width: f64, height: f64| width / height;
-        let expected = aspect(f64::from(table.width), f64::from(table.height));
-        let actual = aspect(width as f64, height as f64);
+        let shape = Shape { width: table.width.into(), height: table.height.into() };
         let size = u16::try_from(width).ok().zip(u16::try_from(height).ok());
         match size {
-            Some((width, height)) if (actual / expected - 1.0).abs() < MAX_ASPECT_ERROR => {
+            Some((width, height)) if shape.admits(width.into(), height.into()) => {
                 Ok(ImageSize { width, height })
             }
             _ => Err(LocateError::Shape {

@@ -11,6 +11,7 @@
 //! both from a configuration: these three alone name two stages. Nothing is declared here, for
 //! every module of the daemon would see it.
 
+pub mod address;
 mod assemble;
 mod board;
 pub mod capture;
@@ -20,6 +21,7 @@ mod commands;
 pub mod config;
 pub mod detect;
 pub mod exit;
+pub mod foreign;
 pub mod frame;
 pub mod line;
 pub mod locate;
@@ -34,6 +36,7 @@ mod running;
 pub mod scene;
 pub mod spool;
 mod station;
+pub mod trust;
 
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use std::process::ExitCode;

@@ -8,6 +8,7 @@ use super::exit::Failure;
 use super::frame::Frame;
 use super::line::{Line, Observer};
 use crate::sensor::Outcome;
+use std::time::{Duration, Instant};
 
 /// A camera with the line behind it.
 #[derive(Debug)]
@@ -40,6 +41,25 @@ impl Station {
     /// [`Failure::Capture`]: there is none.
     pub fn capture(&mut self) -> Result<bool, Failure> {
         Ok(self.source.next(&mut self.frame)? == Captured::New)
+    }
+
+    /// Asks each `interval`, for at most `limit`, until it is known how often the camera has a new
+    /// picture; false where it never had one.
+    ///
+    /// # Errors
+    /// As [`Self::capture`].
+    pub fn watch_pace(&mut self, interval: Duration, limit: Duration) -> Result<bool, Failure> {
+        let (begun, mut changes) = (Instant::now(), 0);
+        while changes < 2 && self.source.period().is_none() && begun.elapsed() < limit {
+            std::thread::sleep(interval.clamp(Duration::from_millis(200), Duration::from_secs(5)));
+            changes += u32::from(self.capture()?);
+        }
+        Ok(changes > 0)
+    }
+
+    /// What to set where pictures come so seldom that windows would have too few of them.
+    pub fn too_slow(&self) -> Option<String> {
+        self.source.too_slow()
     }
 
     /// Measures the picture that was taken last.

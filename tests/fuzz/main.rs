@@ -6,14 +6,16 @@
 //! with a target's name behind `fuzz` for that one alone. What has been run stands in
 //! `docs/fuzzing.md`.
 //!
-//! Targets: `pictures`, `large_pictures`, `http_answers`, `streams` (camera), `configurations`,
-//! `lane_tables`, `spool_recovery`, `models` (files), `wire_messages`, `json_messages` (messages read
+//! Targets: `pictures`, `large_pictures`, `http_answers`, `streams`, `descriptions`, `packets`,
+//! `sessions` (camera), `configurations`, `lane_tables`, `spool_recovery`, `models` (files),
+//! `wire_messages`, `json_messages` (messages read
 //! back).
 
 #[path = "../common/mod.rs"]
 mod common;
 mod http;
 mod mutate;
+mod rtsp;
 mod runner;
 mod streams;
 
@@ -151,6 +153,13 @@ fn pictures() {
             b"IDAT",
             b"IEND",
             b"PLTE",
+            b"iCCP",
+            b"zTXt",
+            b"iTXt",
+            b"eXIf",
+            b"Exif\0\0MM\0*",
+            b"\xff\xe1",
+            b"\xff\xc4",
             b"tRNS",
             b"acTL",
         ],

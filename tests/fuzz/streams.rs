@@ -3,7 +3,7 @@
 use super::runner::Target;
 use super::{common, magnitude};
 use verge::daemon::capture::decode;
-use verge::daemon::capture::multipart::Parts;
+use verge::daemon::capture::picture::scan::Pictures;
 use verge::daemon::frame::Picture;
 
 /// What cameras send as a stream: with and without lengths, with dashes of their own.
@@ -59,12 +59,18 @@ fn streams_of_pictures() {
             b"Content-Length: -1\r\n",
             b": ",
             b"\0",
+            b"\xff\xd8\xff",
+            b"\xff\xd9",
+            b"\xff\xda",
+            b"\xff\xe1\0\x10",
+            b"\x89PNG\r\n\x1a\n",
+            b"\0\0\0\0IEND",
         ],
         longest: 1 << 14,
     };
     target.run(|rng, input| {
         let piece = [1, 7, 100, 1 << 16][rng.usize(..4)];
-        let mut parts = Parts::new(Pieces { bytes: input, piece }, "b");
+        let mut parts = Pictures::new(Pieces { bytes: input, piece });
         let (mut part, mut picture) = (Vec::new(), Picture::default());
         let (mut given, mut right) = (0, 0);
         let error = loop {

@@ -4,7 +4,7 @@
 //! crate's door to pictures.
 
 use crate::error::{Error, Result};
-use image::{ImageFormat, Rgb, RgbImage, imageops};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Rgb, RgbImage, imageops};
 use nalgebra::Vector2;
 use std::path::Path;
 
@@ -20,11 +20,32 @@ pub struct Canvas {
 /// Pictures are enlarged to about this width, px.
 const WIDTH: u32 = 1280;
 
-/// Width and height of a picture file, px, without decoding it.
+/// Width and height of a picture file as it is shown, px, without decoding it.
 pub fn picture_size(path: &Path) -> Result<[u32; 2]> {
     let wrong =
         |e: image::ImageError| Error::Picture { path: path.to_owned(), detail: e.to_string() };
-    image::image_dimensions(path).map(|(w, h)| [w, h]).map_err(wrong)
+    let mut decoder = decoder(path).map_err(wrong)?;
+    let (width, height) = decoder.dimensions();
+    // Orientations from 5 on exchange columns and rows.
+    let is_turned = decoder.orientation().map_err(wrong)?.to_exif() > 4;
+    Ok(if is_turned { [height, width] } else { [width, height] })
+}
+
+/// A picture file as a viewer shows it, labelme too, and as verge measures it: turned as its EXIF
+/// data say.
+///
+/// # Errors
+/// Where it cannot be read or decoded.
+pub fn upright(path: &Path) -> image::ImageResult<DynamicImage> {
+    let mut decoder = decoder(path)?;
+    let orientation = decoder.orientation()?;
+    let mut image = DynamicImage::from_decoder(decoder)?;
+    image.apply_orientation(orientation);
+    Ok(image)
+}
+
+fn decoder(path: &Path) -> image::ImageResult<impl ImageDecoder> {
+    ImageReader::open(path)?.with_guessed_format()?.into_decoder()
 }
 
 impl Canvas {
@@ -35,7 +56,7 @@ impl Canvas {
     pub fn open(path: &Path, expected: [u32; 2]) -> Result<Self> {
         let wrong =
             |e: image::ImageError| Error::Picture { path: path.to_owned(), detail: e.to_string() };
-        let frame = image::open(path).map_err(wrong)?.to_rgb8();
+        let frame = upright(path).map_err(wrong)?.to_rgb8();
         let actual = [frame.width(), frame.height()];
         if actual != expected {
             let what = path.display().to_string();

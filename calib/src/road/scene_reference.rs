@@ -5,6 +5,7 @@
 //! reference's bytes nor the search (the core crate's `scene` module does).
 
 use crate::error::{Error, Result};
+use crate::report::canvas::upright;
 use crate::road::lane_table::contains;
 use nalgebra::Vector2;
 use std::path::{Path, PathBuf};
@@ -161,7 +162,7 @@ pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
 /// Where it cannot be read or decoded.
 pub fn picture(path: &Path) -> Result<(Vec<u8>, u32, u32)> {
     let wrong = |detail: String| Error::Usage(format!("{}: {detail}", path.display()));
-    let image = image::open(path).map_err(|e| wrong(e.to_string()))?.into_rgb8();
+    let image = upright(path).map_err(|e| wrong(e.to_string()))?.into_rgb8();
     let (width, height) = image.dimensions();
     Ok((image.into_raw(), width, height))
 }

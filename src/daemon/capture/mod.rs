@@ -1,36 +1,44 @@
 //! Capture: the first stage, from a camera to [`Frame`]s.
 //!
-//! Owns where pictures come from (recorded files, HTTP snapshots and streams, V4L2
-//! devices), their
-//! times, and their decoding. The door of the crates `image`, `ureq` and `v4l`; their errors
-//! stop here.
+//! Owns where pictures come from (recorded files, cameras on a network, V4L2 devices), their
+//! times, and their decoding. The door of the crates `image`, `png`, `http_auth`, `flate2`
+//! and `v4l`; their errors stop here.
 
 pub mod backoff;
-mod decode;
 mod device;
+mod latest;
 mod mjpeg;
-pub mod multipart;
 pub mod negotiate;
-pub mod pixels;
+pub mod network;
+pub mod picture;
 pub mod queue;
 mod recorded;
+mod refresh;
+pub mod rtsp;
 mod snapshot;
 mod timestamp;
 #[cfg(all(feature = "v4l2", target_os = "linux"))]
 mod v4l2;
 
-pub use decode::{DecodeError, MAX_PICTURE, decode};
 pub use device::{DEFAULT_SIZE, DeviceError, DeviceSettings};
-pub use mjpeg::{Mjpeg, MjpegError, MjpegSettings, SCHEME as MJPEG_SCHEME};
+pub use mjpeg::Mjpeg;
+pub use network::{CameraError, CameraSettings, Credentials, Fault};
+pub use picture::{DecodeError, decode, decode_shaped};
 pub use recorded::{Recorded, RecordingError};
-pub use snapshot::{Credentials, Snapshot, SnapshotError, SnapshotSettings};
+pub use refresh::advice;
+pub use rtsp::Rtsp;
+pub use snapshot::Snapshot;
+pub use timestamp::offset_s as utc_offset;
 
+use super::address::Protocol;
 use super::frame::Frame;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Largest compressed picture that is read, bytes. A 4K JPEG at best quality has 6 MB.
 pub const MAX_PICTURE_BYTES: usize = 8 << 20;
+/// Largest picture that a device is asked for, px: 4K.
+pub const MAX_PICTURE: (u32, u32) = (3840, 2160);
 
 /// What a source gave when it was asked for the next picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,12 +70,9 @@ pub enum CaptureError {
         /// What is wrong with it.
         source: DecodeError,
     },
-    /// The camera did not give a snapshot.
+    /// A camera on a network gave none.
     #[error(transparent)]
-    Snapshot(#[from] SnapshotError),
-    /// The camera's stream did not give a picture.
-    #[error(transparent)]
-    Mjpeg(#[from] MjpegError),
+    Camera(#[from] CameraError),
     /// A device did not give a picture.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -82,6 +87,8 @@ pub struct StreamCounts {
     pub lost: u64,
     /// Times that the stream was given up and opened again.
     pub reopened: u64,
+    /// Time between a video's latest two key pictures.
+    pub key_interval: Option<Duration>,
 }
 
 impl CaptureError {
@@ -101,10 +108,8 @@ pub enum SourceSettings {
         /// Time between two pictures.
         interval: Duration,
     },
-    /// See [`Snapshot`].
-    Snapshot(SnapshotSettings),
-    /// See [`Mjpeg`].
-    Mjpeg(MjpegSettings),
+    /// A camera on a network.
+    Network(CameraSettings),
     /// A camera at the box.
     Device(DeviceSettings),
 }
@@ -115,12 +120,6 @@ pub enum SourceError {
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The camera's address.
-    #[error(transparent)]
-    Snapshot(#[from] SnapshotError),
-    /// The address of the camera's stream.
-    #[error(transparent)]
-    Mjpeg(#[from] MjpegError),
     /// The camera's device.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -135,6 +134,8 @@ pub enum Source {
     Snapshot(Box<Snapshot>),
     /// A camera that answers one HTTP request with picture after picture.
     Mjpeg(Box<Mjpeg>),
+    /// A camera that plays video.
+    Rtsp(Box<Rtsp>),
     /// A camera at the box.
     #[cfg(all(feature = "v4l2", target_os = "linux"))]
     Device(Box<v4l2::V4l2>),
@@ -151,12 +152,27 @@ impl Source {
             SourceSettings::Recorded { folder, interval } => {
                 Self::Recorded(Recorded::open(&folder, Some(interval))?.for_ever())
             }
-            SourceSettings::Snapshot(settings) => {
-                Self::Snapshot(Box::new(Snapshot::new(settings)?))
-            }
-            SourceSettings::Mjpeg(settings) => Self::Mjpeg(Box::new(Mjpeg::new(settings)?)),
+            SourceSettings::Network(settings) => Self::network(settings),
             SourceSettings::Device(settings) => Self::device(settings)?,
         })
+    }
+
+    /// A camera on a network.
+    pub fn network(settings: CameraSettings) -> Self {
+        match settings.address.protocol {
+            Protocol::Mjpeg => Self::Mjpeg(Box::new(Mjpeg::new(settings))),
+            Protocol::Rtsp => Self::Rtsp(Box::new(Rtsp::new(settings))),
+            Protocol::Snapshot => Self::Snapshot(Box::new(Snapshot::new(settings))),
+        }
+    }
+
+    /// Time between two new pictures, where the camera is slower than it is asked.
+    pub fn period(&self) -> Option<Duration> {
+        match self {
+            Self::Snapshot(snapshot) => snapshot.period(),
+            Self::Mjpeg(mjpeg) => mjpeg.period(),
+            _ => None,
+        }
     }
 
     /// A camera at the box. It may be absent now and come later.
@@ -175,9 +191,37 @@ impl Source {
         match self {
             Self::Recorded(_) | Self::Snapshot(_) => StreamCounts::default(),
             Self::Mjpeg(mjpeg) => mjpeg.counts(),
+            Self::Rtsp(rtsp) => rtsp.counts(),
             #[cfg(all(feature = "v4l2", target_os = "linux"))]
             Self::Device(device) => device.counts(),
         }
+    }
+
+    /// What a video is, and what to set; `None` where the source is none.
+    pub fn video(&self) -> Option<String> {
+        match self {
+            Self::Rtsp(rtsp) => Some(rtsp.describe()),
+            _ => None,
+        }
+    }
+
+    /// Waits up to `limit` until it is known how often a video's key pictures come.
+    pub fn settle(&self, limit: Duration) {
+        let begun = Instant::now();
+        while let Self::Rtsp(rtsp) = self
+            && rtsp.counts().key_interval.is_none()
+            && begun.elapsed() < limit
+        {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    /// What to set where pictures come so seldom that windows would have too few of them.
+    pub fn too_slow(&self) -> Option<String> {
+        let period = self.period().or(self.counts().key_interval)?;
+        let interval = self.interval();
+        // Three quarters of a window's pictures are needed.
+        (period > interval.mul_f64(4.0 / 3.0)).then(|| advice(period, interval))
     }
 
     /// Fills `frame` with the next picture.
@@ -189,6 +233,7 @@ impl Source {
             Self::Recorded(recorded) => recorded.next(frame),
             Self::Snapshot(snapshot) => snapshot.next(frame),
             Self::Mjpeg(mjpeg) => mjpeg.next(frame),
+            Self::Rtsp(rtsp) => rtsp.next(frame),
             #[cfg(all(feature = "v4l2", target_os = "linux"))]
             Self::Device(device) => device.next(frame),
         }
@@ -200,6 +245,7 @@ impl Source {
             Self::Recorded(recorded) => recorded.interval(),
             Self::Snapshot(snapshot) => snapshot.interval(),
             Self::Mjpeg(mjpeg) => mjpeg.interval(),
+            Self::Rtsp(rtsp) => rtsp.interval(),
             #[cfg(all(feature = "v4l2", target_os = "linux"))]
             Self::Device(device) => device.interval(),
         }

@@ -1,10 +1,13 @@
-//! Recorded frames: a folder of pictures in the order of their names.
+//! Recorded frames: a folder of pictures, or of folders by day, in the order of their times.
 //!
-//! Owns which files belong to a recording and when each was taken.
+//! Owns which files belong to a recording and when each was taken. A file that is not of the
+//! recording changes no other file's time: where names tell the times, one whose name does not
+//! is left out, with a word.
 
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
 use crate::daemon::clock;
+use crate::daemon::foreign::shown;
 use crate::daemon::frame::Frame;
 use crate::units::UtcMs;
 use std::fs::{self, File};
@@ -15,6 +18,11 @@ use std::time::{Duration, UNIX_EPOCH};
 /// Time between frames where neither names nor files tell: one picture in two minutes, as
 /// the paper's Hong Kong cameras give.
 pub const DEFAULT_INTERVAL: Duration = Duration::from_secs(120);
+
+/// Deepest folder that is looked into: year, month, day, hour, minute and one more.
+const MAX_DEPTH: usize = 6;
+/// Files in a hundred, and at least how many, that may be strays.
+const MOST_STRAYS: (usize, usize) = (10, 2);
 
 /// Why a folder is not a recording.
 #[derive(Debug, thiserror::Error)]
@@ -70,22 +78,43 @@ impl Recorded {
     /// # Errors
     /// [`RecordingError`] where there is nothing to play.
     pub fn open(folder: &Path, interval: Option<Duration>) -> Result<Self, RecordingError> {
-        let list = |source| RecordingError::List { folder: folder.to_owned(), source };
+        Self::open_local(folder, interval, 0)
+    }
+
+    /// The same where names without an offset from UTC are `utc_offset_s` ahead of it.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_local(
+        folder: &Path,
+        interval: Option<Duration>,
+        utc_offset_s: i32,
+    ) -> Result<Self, RecordingError> {
         let mut names = Vec::new();
-        for entry in fs::read_dir(folder).map_err(list)? {
-            let path = entry.map_err(list)?.path();
-            if is_picture(&path)
-                && let Some(name) = path.file_name()
-            {
-                names.push((path.clone(), name.to_string_lossy().into_owned()));
-            }
-        }
+        list(folder, "", 0, &mut names)
+            .map_err(|source| RecordingError::List { folder: folder.to_owned(), source })?;
         if names.is_empty() {
             return Err(RecordingError::NoFrames { folder: folder.to_owned() });
         }
-        names.sort_by(|a, b| a.1.cmp(&b.1));
-        let (time_source, times, interval) = times(&names, interval)?;
-        let files = names.into_iter().zip(times).map(|((p, n), t)| (p, n, t)).collect();
+        names.sort();
+        let (time_source, times, interval) = times(folder, &names, interval, utc_offset_s)?;
+        let strays: Vec<_> = times.iter().zip(&names).filter(|(t, _)| t.is_none()).collect();
+        if let Some((_, first)) = strays.first() {
+            log::warn!(
+                "{} of {} files are left out, for {} does not tell when they were taken: {} and so on",
+                strays.len(),
+                names.len(),
+                if time_source == TimeSource::Files { "their time" } else { "their name" },
+                shown(first)
+            );
+        }
+        let mut files: Vec<_> = names
+            .into_iter()
+            .zip(times)
+            .filter_map(|(name, time)| Some((folder.join(&name), name, time?)))
+            .collect();
+        files.sort_by_key(|(_, _, time)| *time);
+        spread(&mut files);
         Ok(Self { files, next: 0, for_ever: false, interval, time_source, bytes: Vec::new() })
     }
 
@@ -143,46 +172,134 @@ fn is_picture(path: &Path) -> bool {
     ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
 
-/// The time of every file, where it comes from, and the time between two.
+/// Collects the pictures of a folder, relative to the recording's. Folders in it are looked into
+/// where their names begin with a digit, as days and hours do, or where there is nothing else.
+fn list(root: &Path, within: &str, depth: usize, names: &mut Vec<String>) -> std::io::Result<()> {
+    let (before, mut folders) = (names.len(), Vec::new());
+    for entry in fs::read_dir(root.join(within))? {
+        let entry = entry?;
+        let (path, name) = (entry.path(), entry.file_name().to_string_lossy().into_owned());
+        let relative = if within.is_empty() { name.clone() } else { format!("{within}/{name}") };
+        if path.is_dir() {
+            let is_hidden = name.starts_with(['.', '@', '#']);
+            if depth < MAX_DEPTH && !is_hidden {
+                folders.push((name, relative));
+            }
+        } else if is_picture(&path) {
+            names.push(relative);
+        }
+    }
+    let is_empty = names.len() == before;
+    for (name, relative) in folders {
+        if is_empty || name.starts_with(|first: char| first.is_ascii_digit()) {
+            list(root, &relative, depth + 1, names)?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether so few of so many files without a time are strays.
+fn are_strays(without: usize, of: usize) -> bool {
+    let (percent, least) = MOST_STRAYS;
+    without <= (of * percent / 100).max(least) && without * 2 < of
+}
+
+/// The time of every file, `None` for strays; where times come from, and the time between two.
 fn times(
-    names: &[(PathBuf, String)],
+    folder: &Path,
+    names: &[String],
     interval: Option<Duration>,
-) -> Result<(TimeSource, Vec<UtcMs>, Duration), RecordingError> {
+    utc_offset_s: i32,
+) -> Result<(TimeSource, Vec<Option<UtcMs>>, Duration), RecordingError> {
     if interval.is_some_and(|i| i.is_zero()) {
         return Err(RecordingError::Interval(Duration::ZERO));
     }
-    let named: Option<Vec<_>> = names.iter().map(|(_, name)| timestamp::from_name(name)).collect();
+    let named: Vec<_> = names.iter().map(|name| timestamp::from_path(name, utc_offset_s)).collect();
+    let without = named.iter().filter(|time| time.is_none()).count();
+    let tells = are_strays(without, names.len());
     if interval.is_none() {
-        if let Some((times, median)) = named.clone().and_then(with_interval) {
-            return Ok((TimeSource::Names, times, median));
+        if tells && let Some(median) = median_step(&named) {
+            return Ok((TimeSource::Names, named, median));
         }
-        let written: Option<Vec<_>> = names.iter().map(|(path, _)| written_at(path)).collect();
+        let mut written: Vec<_> = names.iter().map(|name| written_at(&folder.join(name))).collect();
+        keep_rising(&mut written);
+        let without = written.iter().filter(|time| time.is_none()).count();
         // Copied or unpacked files carry the time of the copying, not of the picture.
-        if let Some((times, median)) = written.and_then(with_interval)
+        if are_strays(without, names.len())
+            && let Some(median) = median_step(&written)
             && median >= Duration::from_secs(1)
         {
-            return Ok((TimeSource::Files, times, median));
+            return Ok((TimeSource::Files, written, median));
         }
     }
     let step = interval.unwrap_or(DEFAULT_INTERVAL);
-    let first = timestamp::from_name(&names[0].1).unwrap_or_default();
-    let times = (0..names.len() as u32).map(|n| first.saturating_add(step.saturating_mul(n)));
+    let first = named.iter().flatten().min().copied().filter(|_| tells).unwrap_or_default();
+    let mut count = 0;
+    let times = named.iter().map(|time| {
+        // A stray among frames that tell their time takes no place.
+        let counts = time.is_some() || !tells;
+        let time = first.saturating_add(step.saturating_mul(count));
+        count += u32::from(counts);
+        counts.then_some(time)
+    });
     let source = if interval.is_some() { TimeSource::Interval } else { TimeSource::Assumed };
     Ok((source, times.collect(), step))
 }
 
-/// The times with their median step, if they rise.
-fn with_interval(times: Vec<UtcMs>) -> Option<(Vec<UtcMs>, Duration)> {
-    let mut steps: Vec<_> = times
-        .windows(2)
-        .map(|pair| (pair[1] > pair[0]).then(|| pair[1].saturating_since(pair[0])))
-        .collect::<Option<_>>()?;
+/// The median time from one frame to the next.
+fn median_step(times: &[Option<UtcMs>]) -> Option<Duration> {
+    let mut times: Vec<_> = times.iter().flatten().copied().collect();
+    times.sort();
+    let mut steps: Vec<_> =
+        times.windows(2).map(|pair| pair[1].saturating_since(pair[0])).collect();
     steps.sort();
+    // Frames of one second: as many as there are share it.
+    let span = times.last()?.saturating_since(*times.first()?);
     let median = *steps.get(steps.len() / 2)?;
-    Some((times, median))
+    let mean = span.checked_div(u32::try_from(steps.len()).ok()?)?;
+    Some(if median.is_zero() { mean } else { median }).filter(|step| !step.is_zero())
+}
+
+/// Leaves the longest row of rising times and takes the others out: files copied later, or back.
+fn keep_rising(times: &mut [Option<UtcMs>]) {
+    // Patience sorting: the last file of the best row of each length, and what stands before it.
+    let (mut ends, mut before): (Vec<usize>, Vec<Option<usize>>) =
+        (Vec::new(), vec![None; times.len()]);
+    for index in 0..times.len() {
+        let Some(time) = times[index] else { continue };
+        let length = ends.partition_point(|&end| times[end] < Some(time));
+        before[index] = length.checked_sub(1).map(|shorter| ends[shorter]);
+        if length == ends.len() { ends.push(index) } else { ends[length] = index }
+    }
+    let mut kept = vec![false; times.len()];
+    let mut at = ends.last().copied();
+    while let Some(index) = at {
+        kept[index] = true;
+        at = before[index];
+    }
+    times.iter_mut().zip(kept).filter(|(_, kept)| !kept).for_each(|(time, _)| *time = None);
+}
+
+/// Frames of one second, whose names tell no more, are spread over the time to the next one.
+fn spread(files: &mut [(PathBuf, String, UtcMs)]) {
+    let mut from = 0;
+    while from < files.len() {
+        let time = files[from].2;
+        let same = files[from..].iter().take_while(|(_, _, other)| *other == time).count();
+        let next = files.get(from + same).map(|(_, _, next)| next.saturating_since(time));
+        let room = next.unwrap_or(Duration::from_secs(1)).min(Duration::from_secs(1));
+        for (place, file) in files[from..from + same].iter_mut().enumerate().skip(1) {
+            file.2 = time.saturating_add(room.mul_f64(place as f64 / same as f64));
+        }
+        from += same;
+    }
 }
 
 fn written_at(path: &Path) -> Option<UtcMs> {
     let since_1970 = fs::metadata(path).ok()?.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
     Some(UtcMs::default().saturating_add(since_1970))
 }
+
+#[cfg(test)]
+#[path = "recorded_tests.rs"]
+mod tests;

@@ -1,129 +1,52 @@
 //! HTTP snapshots: a camera, or its server, that answers a request with one picture.
 //!
-//! Owns the request (time-outs, size limit, redirects, basic authentication, conditional
-//! requests) and notices a picture that was sent before.
+//! Owns which answers hold a picture, where it ends whatever the answer's length says, and
+//! notices one that was sent before.
 
-use super::{CaptureError, Captured, MAX_PICTURE_BYTES, decode};
+use super::network::http::{Answer, Body, Client};
+use super::network::{CameraError, CameraSettings, Fault};
+use super::picture::{kind, scan};
+use super::refresh::{Refresh, advice};
+use super::{CaptureError, Captured, MAX_PICTURE_BYTES, decode_shaped};
 use crate::daemon::clock;
 use crate::daemon::frame::Frame;
-use base64::{Engine, prelude::BASE64_STANDARD as BASE64};
 use std::hash::{DefaultHasher, Hasher};
-use std::io::Read;
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::time::Duration;
-use ureq::http::header::{self, HeaderMap, HeaderValue};
+use std::io::{self, Read};
+use std::time::{Duration, Instant};
 
-/// Most redirects that are followed.
-const MAX_REDIRECTS: u32 = 3;
-
-/// User and password for the camera.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Credentials {
-    /// User name.
-    pub user: String,
-    /// Password.
-    pub password: String,
-}
-
-impl std::fmt::Debug for Credentials {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Credentials {{ user: {:?}, password: *** }}", self.user)
-    }
-}
-
-/// How to ask a camera for its picture.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SnapshotSettings {
-    /// Address of the picture, `http://` or `https://`.
-    pub url: String,
-    /// User and password, sent as basic authentication to this host only.
-    pub credentials: Option<Credentials>,
-    /// Time between two requests.
-    pub interval: Duration,
-    /// Longest time from request to last byte.
-    pub timeout: Duration,
-}
-
-/// Why no snapshot came.
-#[derive(Debug, thiserror::Error)]
-pub enum SnapshotError {
-    /// No answer, or one that broke off.
-    #[error("{url}: {reason}")]
-    Transport {
-        /// The address without credentials.
-        url: String,
-        /// What happened.
-        reason: String,
-    },
-    /// An answer other than a picture.
-    #[error("{url}: HTTP status {status}{}", hint(*status))]
-    Status {
-        /// The address without credentials.
-        url: String,
-        /// The status.
-        status: u16,
-    },
-    /// The answer is larger than any picture of a camera.
-    #[error("{url}: the answer has more than {MAX_PICTURE_BYTES} bytes; is this the picture?")]
-    TooLarge {
-        /// The address without credentials.
-        url: String,
-    },
-    /// The HTTP client panicked, which it should not whatever it gets.
-    #[error("{url}: the HTTP client broke down over the answer; is this a camera?")]
-    Client {
-        /// The address without credentials.
-        url: String,
-    },
-    /// The address does not parse.
-    #[error("{url}: not an address of the form http://host/path")]
-    Url {
-        /// The address.
-        url: String,
-    },
-}
-
-/// What to do about a status, for the end of a message.
-pub(super) const fn hint(status: u16) -> &'static str {
-    match status {
-        401 | 403 => "; check camera.user and camera.password_file",
-        404 => "; check the path in camera.source",
-        _ => "",
-    }
-}
+/// Bytes that are read at once.
+const CHUNK: usize = 16 << 10;
+/// Silence after which a whole picture counts, though more was announced.
+const QUIET: Duration = Duration::from_millis(500);
 
 /// A camera that is asked for its picture again and again.
 #[derive(Debug)]
 pub struct Snapshot {
-    settings: SnapshotSettings,
-    agent: ureq::Agent,
-    authorization: Option<HeaderValue>,
+    settings: CameraSettings,
+    client: Client,
     last: Option<Sent>,
+    refresh: Refresh,
     bytes: Vec<u8>,
 }
 
 /// What is remembered of the last picture.
 #[derive(Debug)]
 struct Sent {
-    etag: Option<HeaderValue>,
-    last_modified: Option<HeaderValue>,
+    etag: Option<String>,
+    last_modified: Option<String>,
     digest: u64,
 }
 
 impl Snapshot {
     /// A camera to be asked; no request is made yet.
-    ///
-    /// # Errors
-    /// [`SnapshotError::Url`].
-    pub fn new(settings: SnapshotSettings) -> Result<Self, SnapshotError> {
-        let bad_url = || SnapshotError::Url { url: settings.url.clone() };
-        let uri: ureq::http::Uri = settings.url.parse().map_err(|_| bad_url())?;
-        if !matches!(uri.scheme_str(), Some("http" | "https")) || uri.host().is_none() {
-            return Err(bad_url());
+    pub fn new(settings: CameraSettings) -> Self {
+        Self {
+            client: Client::new(settings.clone()),
+            settings,
+            last: None,
+            refresh: Refresh::default(),
+            bytes: Vec::new(),
         }
-        let agent = agent(settings.timeout);
-        let authorization = settings.credentials.as_ref().and_then(basic);
-        Ok(Self { settings, agent, authorization, last: None, bytes: Vec::new() })
     }
 
     /// Time between two requests.
@@ -131,100 +54,142 @@ impl Snapshot {
         self.settings.interval
     }
 
+    /// Time between two new pictures, where the camera is slower than it is asked.
+    pub fn period(&self) -> Option<Duration> {
+        self.refresh.period(self.settings.interval)
+    }
+
     pub(super) fn next(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
-        // ureq 3.5.1 panics on a redirect whose chunked body breaks off behind its last
-        // chunk. What a camera answers costs a picture and never the daemon.
-        let Ok(asked) = catch_unwind(AssertUnwindSafe(|| self.ask())) else {
-            self.agent = agent(self.settings.timeout);
-            return Err(SnapshotError::Client { url: self.settings.url.clone() }.into());
-        };
-        let Some(sent) = asked? else { return Ok(Captured::Unchanged) };
-        if self.last.as_ref().is_some_and(|last| last.digest == sent.digest) {
+        let sent = self.ask()?;
+        let is_known =
+            |sent: &Sent| self.last.as_ref().is_some_and(|last| last.digest == sent.digest);
+        let Some(sent) = sent.filter(|sent| !is_known(sent)) else {
+            self.refresh.note(false, Instant::now());
             return Ok(Captured::Unchanged);
-        }
-        self.last = Some(sent);
+        };
         frame.time = clock::now();
         "snapshot".clone_into(&mut frame.name);
-        decode(&self.bytes, &mut frame.picture)
-            .map_err(|source| CaptureError::Decode { name: self.settings.url.clone(), source })?;
+        let name = || self.settings.address.to_string();
+        decode_shaped(&self.bytes, self.settings.shape(), &mut frame.picture)
+            .map_err(|source| CaptureError::Decode { name: name(), source })?;
+        // Only now: a picture that cannot be used is not one that stands still.
+        self.last = Some(sent);
+        self.refresh.note(true, Instant::now());
+        if let Some(period) = self.refresh.news(self.settings.interval) {
+            log::warn!("{}", advice(period, self.settings.interval));
+        }
         Ok(Captured::New)
     }
 
     /// Makes one request and reads the picture's bytes; `None` where the camera says that
     /// it is the one before.
-    fn ask(&mut self) -> Result<Option<Sent>, SnapshotError> {
-        let url = &self.settings.url;
-        let transport = |reason: String| SnapshotError::Transport { url: url.clone(), reason };
-        let mut request = self.agent.get(url);
-        if let Some(value) = &self.authorization {
-            request = request.header(header::AUTHORIZATION, value);
+    fn ask(&mut self) -> Result<Option<Sent>, CameraError> {
+        let begun = Instant::now();
+        let at = |fault: Fault| fault.at(&self.settings.address);
+        let last = self.last.as_ref();
+        let headers = [
+            ("If-None-Match", last.and_then(|last| last.etag.as_deref())),
+            ("If-Modified-Since", last.and_then(|last| last.last_modified.as_deref())),
+        ];
+        let headers: Vec<_> =
+            headers.into_iter().filter_map(|(name, value)| Some((name, value?))).collect();
+        let Answer { head, mut body } = self.client.get(&headers, self.settings.timeout)?;
+        if head.status == 304 {
+            return Ok(None);
         }
-        if let Some(last) = &self.last {
-            if let Some(etag) = &last.etag {
-                request = request.header(header::IF_NONE_MATCH, etag);
-            }
-            if let Some(time) = &last.last_modified {
-                request = request.header(header::IF_MODIFIED_SINCE, time);
-            }
+        let content_type = head.content_type();
+        if content_type.starts_with("multipart/") || content_type.starts_with("video/") {
+            return Err(at(Fault::IsStream));
         }
-        let mut response = request.call().map_err(|error| transport(error.to_string()))?;
-        match response.status().as_u16() {
-            200 => {}
-            304 => return Ok(None),
-            status => return Err(SnapshotError::Status { url: url.clone(), status }),
+        let rest = self.settings.timeout.saturating_sub(begun.elapsed());
+        body.connection().set_limit(rest);
+        read_picture(&mut body, &mut self.bytes).map_err(at)?;
+        let encoding = head.get("content-encoding").unwrap_or_default().to_ascii_lowercase();
+        if encoding.contains("gzip") || encoding.contains("deflate") {
+            unpack(&mut self.bytes, &encoding).map_err(at)?;
         }
-        self.bytes.clear();
-        let reader = response.body_mut().as_reader();
-        reader
-            .take(MAX_PICTURE_BYTES as u64 + 1)
-            .read_to_end(&mut self.bytes)
-            .map_err(|error| transport(format!("the answer broke off: {error}")))?;
-        if self.bytes.len() > MAX_PICTURE_BYTES {
-            return Err(SnapshotError::TooLarge { url: url.clone() });
+        let picture = kind::trimmed(&self.bytes);
+        if kind::Kind::of(picture).is_none() {
+            let fault = if kind::is_multipart(picture) {
+                Fault::IsStream
+            } else {
+                Fault::NoPicture(kind::described(picture))
+            };
+            return Err(at(fault));
         }
-        Ok(Some(Sent::new(response.headers(), &self.bytes)))
-    }
-}
-
-fn agent(timeout: Duration) -> ureq::Agent {
-    ureq::Agent::config_builder()
-        .timeout_global(Some(timeout))
-        .max_redirects(MAX_REDIRECTS)
-        .redirect_auth_headers(ureq::config::RedirectAuthHeaders::SameHost)
-        .http_status_as_error(false)
-        .user_agent(concat!("verge/", env!("CARGO_PKG_VERSION")))
-        .build()
-        .new_agent()
-}
-
-impl Sent {
-    fn new(headers: &HeaderMap, bytes: &[u8]) -> Self {
+        let header = |name| head.get(name).map(str::to_owned);
         let mut hasher = DefaultHasher::new();
-        hasher.write(bytes);
-        Self {
-            etag: headers.get(header::ETAG).cloned(),
-            last_modified: headers.get(header::LAST_MODIFIED).cloned(),
+        hasher.write(&self.bytes);
+        Ok(Some(Sent {
+            etag: header("etag"),
+            last_modified: header("last-modified"),
             digest: hasher.finish(),
+        }))
+    }
+}
+
+/// Reads a body that is one picture. A picture that has its end counts, whether the length that
+/// was announced is right or not.
+fn read_picture(body: &mut Body, bytes: &mut Vec<u8>) -> Result<(), Fault> {
+    bytes.clear();
+    let (mut chunk, mut quiet) = ([0; CHUNK], Instant::now());
+    loop {
+        if body.is_complete() {
+            // A length that is too short: the rest comes behind it.
+            let cut = kind::Kind::of(kind::trimmed(bytes)).is_some() && !scan::is_whole(bytes);
+            if !cut {
+                return Ok(());
+            }
+            body.read_beyond();
+            if body.is_complete() {
+                return Ok(());
+            }
+        }
+        match body.read(&mut chunk) {
+            Ok(0) if body.is_complete() => {}
+            Ok(0) => return Ok(()),
+            Ok(read) => {
+                bytes.extend_from_slice(&chunk[..read]);
+                quiet = Instant::now();
+                if kind::is_multipart(bytes) {
+                    return Err(Fault::IsStream);
+                }
+                if bytes.len() > MAX_PICTURE_BYTES {
+                    let is_stream = scan::is_whole(bytes);
+                    return Err(if is_stream { Fault::IsStream } else { Fault::TooLarge });
+                }
+            }
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                if quiet.elapsed() >= QUIET && scan::is_whole(bytes) {
+                    return Ok(());
+                }
+            }
+            Err(error) => {
+                let whole = scan::is_whole(bytes);
+                return match body.connection().fault(&error, "whole picture") {
+                    // It goes on and on behind a whole picture.
+                    Fault::Timeout { .. } if whole => Err(Fault::IsStream),
+                    _ if whole => Ok(()),
+                    fault => Err(fault),
+                };
+            }
         }
     }
 }
 
-/// The `Authorization` header of RFC 7617.
-pub(super) fn basic(credentials: &Credentials) -> Option<HeaderValue> {
-    let text = format!("{}:{}", credentials.user, credentials.password);
-    let mut value = HeaderValue::from_str(&format!("Basic {}", BASE64.encode(text))).ok()?;
-    value.set_sensitive(true);
-    Some(value)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_password_is_not_printed() {
-        let credentials = Credentials { user: "box".into(), password: "hunter2".into() };
-        assert!(!format!("{credentials:?}").contains("hunter2"));
-        assert!(!format!("{:?}", basic(&credentials)).contains("aHVudGVy"));
+/// Unpacks a body that came packed though nobody asked for it.
+fn unpack(bytes: &mut Vec<u8>, encoding: &str) -> Result<(), Fault> {
+    let mut unpacked = Vec::new();
+    let most = MAX_PICTURE_BYTES as u64 + 1;
+    let read = if encoding.contains("gzip") {
+        flate2::read::GzDecoder::new(bytes.as_slice()).take(most).read_to_end(&mut unpacked)
+    } else {
+        flate2::read::ZlibDecoder::new(bytes.as_slice()).take(most).read_to_end(&mut unpacked)
+    };
+    read.map_err(|_| Fault::Broken("its packed body is damaged".to_owned()))?;
+    if unpacked.len() > MAX_PICTURE_BYTES {
+        return Err(Fault::TooLarge);
     }
+    *bytes = unpacked;
+    Ok(())
 }

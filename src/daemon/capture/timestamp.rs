@@ -1,65 +1,280 @@
-//! Finds the capture time that a file name carries.
+//! Finds the capture time that a recorded file's name, or its folders, carry.
 //!
-//! Owns the forms that are understood: year, month, day, hour, minute, second, and
-//! milliseconds where they follow a dot, with or without `-`, `_`, `:`, `T` or a space
-//! between them, anywhere in the name. The time is UTC.
+//! Owns the forms that are understood: year, month, day (or day.month.year), hour, minute,
+//! second and what follows it, with the separators that programs put between them; seconds or
+//! milliseconds since 1970; and folders by day with the time of day in the name. An offset from
+//! UTC counts where the name has one; without it the time is UTC, unless the caller knows better.
 
 use crate::units::UtcMs;
 use jiff::civil;
 use jiff::tz::Offset;
 
-/// The time in `name`, if there is one.
-pub fn from_name(name: &str) -> Option<UtcMs> {
-    let bytes = name.as_bytes();
+/// The largest offset from UTC that a place has had, s.
+const MAX_OFFSET_S: i32 = 18 * 3600;
+
+/// The time in `path`, relative and with `/` between folders. `local` is the offset from UTC of
+/// names that state none, s.
+pub fn from_path(path: &str, local_s: i32) -> Option<UtcMs> {
+    let name = path.rsplit('/').next().unwrap_or(path);
+    let stamp = find(name, stamp).or_else(|| find(path, stamp)).or_else(|| by_day(path));
+    match stamp {
+        Some(stamp) => stamp.time(local_s),
+        None => find(name, since_1970),
+    }
+}
+
+/// An offset from UTC as people write it: `+01:00`, `-0530`, `+1`, `Z`.
+pub fn offset_s(text: &str) -> Option<i32> {
+    let mut rest = text.trim().as_bytes();
+    if matches!(rest, b"Z" | b"z" | b"0") {
+        return Some(0);
+    }
+    if let [sign @ (b'+' | b'-'), hour @ b'0'..=b'9'] = rest {
+        let hours = i32::from(hour - b'0') * 3600;
+        return Some(if *sign == b'-' { -hours } else { hours });
+    }
+    let offset = read_offset(&mut rest, true)?;
+    rest.is_empty().then_some(offset)
+}
+
+/// Tries each place in `text` that does not follow a digit.
+fn find<T>(text: &str, parse: impl Fn(&[u8]) -> Option<T>) -> Option<T> {
+    let bytes = text.as_bytes();
     (0..bytes.len()).find_map(|start| {
         let after_digit = start > 0 && bytes[start - 1].is_ascii_digit();
-        if after_digit { None } else { parse_at(&bytes[start..]) }
+        if after_digit { None } else { parse(&bytes[start..]) }
     })
 }
 
-fn parse_at(bytes: &[u8]) -> Option<UtcMs> {
+struct Stamp {
+    civil: civil::DateTime,
+    offset_s: Option<i32>,
+}
+
+impl Stamp {
+    fn time(&self, local_s: i32) -> Option<UtcMs> {
+        let offset = Offset::from_seconds(self.offset_s.unwrap_or(local_s)).ok()?;
+        let timestamp = offset.to_timestamp(self.civil).ok()?;
+        Some(UtcMs(timestamp.as_millisecond()))
+    }
+}
+
+fn stamp(bytes: &[u8]) -> Option<Stamp> {
     let mut rest = bytes;
-    let year = number(&mut rest, 4)?;
+    let date = date(&mut rest)?;
+    let between = rest;
+    skip(&mut rest, b" ");
+    if let Some(tail) = rest.strip_prefix(b"at ") {
+        rest = tail;
+    } else {
+        rest = between;
+        (0..3).for_each(|_| skip(&mut rest, b"-_ .,:/Tt@"));
+    }
+    let iso = bytes[..bytes.len() - rest.len()].ends_with(b"T");
+    time_of_day(date, &mut rest, iso)
+}
+
+/// Year, month, day; or day, month, year with dots between them.
+fn date(rest: &mut &[u8]) -> Option<civil::Date> {
+    let begun = *rest;
+    if let (Some(day), true) = (number(rest, 2), rest.first() == Some(&b'.')) {
+        skip(rest, b".");
+        let month = number(rest, 2);
+        skip(rest, b".");
+        if let (Some(month), Some(year)) = (month, number(rest, 4)) {
+            return whole_date(year, month, day);
+        }
+    }
+    *rest = begun;
+    let year = number(rest, 4)?;
+    skip(rest, b"-_.:/");
+    let month = number(rest, 2)?;
+    skip(rest, b"-_.:/");
+    whole_date(year, month, number(rest, 2)?)
+}
+
+fn whole_date(year: i32, month: i32, day: i32) -> Option<civil::Date> {
     if !(1970..=2199).contains(&year) {
         return None;
     }
-    let mut field = || {
-        if let [b'-' | b'_' | b':' | b'T' | b' ', tail @ ..] = rest {
-            rest = tail;
+    let small = |n: i32| i8::try_from(n).ok();
+    civil::Date::new(i16::try_from(year).ok()?, small(month)?, small(day)?).ok()
+}
+
+/// Hour, minute, second, and what follows them. With `iso` a `-` begins an offset.
+fn time_of_day(date: civil::Date, rest: &mut &[u8], iso: bool) -> Option<Stamp> {
+    let begun = *rest;
+    let hour = match number(rest, 2) {
+        Some(hour) => hour,
+        // Of a clock with twelve hours.
+        None => {
+            *rest = begun;
+            let hour = number(rest, 1)?;
+            if !rest.starts_with(b".") && !rest.starts_with(b"-") {
+                return None;
+            }
+            hour
         }
-        number(&mut rest, 2)
     };
-    let (month, day) = (field()?, field()?);
-    let (hour, minute, second) = (field()?, field()?, field()?);
-    let mut millisecond = 0;
-    if let [b'.', tail @ ..] = rest {
-        let mut tail = tail;
-        if let Some(ms) = number(&mut tail, 3) {
-            (millisecond, rest) = (ms, tail);
-        }
-    }
+    skip(rest, b"-_.:/h");
+    let minute = number(rest, 2)?;
+    skip(rest, b"-_.:/m");
+    let second = number(rest, 2)?;
+    let nanosecond = fraction(rest);
+    skip(rest, b"s");
     if rest.first().is_some_and(u8::is_ascii_digit) {
         return None;
     }
-    let two = |n: i32| i8::try_from(n).ok();
-    let time = civil::DateTime::new(
-        i16::try_from(year).ok()?,
-        two(month)?,
-        two(day)?,
-        two(hour)?,
-        two(minute)?,
-        two(second)?,
-        millisecond * 1_000_000,
-    );
-    let timestamp = Offset::UTC.to_timestamp(time.ok()?).ok()?;
-    Some(UtcMs(timestamp.as_millisecond()))
+    let mut hour = hour;
+    let half = rest.trim_ascii_start().get(..2).map(<[u8]>::to_ascii_uppercase);
+    match half.as_deref() {
+        Some(b"AM") if hour == 12 => hour = 0,
+        Some(b"PM") if hour < 12 => hour += 12,
+        _ => {}
+    }
+    let small = |n: i32| i8::try_from(n).ok();
+    let time = civil::Time::new(small(hour)?, small(minute)?, small(second)?, nanosecond).ok()?;
+    let offset_s = offset_behind(rest, iso);
+    Some(Stamp { civil: date.to_datetime(time), offset_s })
+}
+
+/// Three digits (milliseconds) or six (microseconds), directly behind the seconds or behind one
+/// separator, as nanoseconds. Other digits are counters.
+fn fraction(rest: &mut &[u8]) -> i32 {
+    let separated = matches!(rest.first(), Some(b'.' | b',' | b'_' | b'-'));
+    let tail = if separated { &rest[1..] } else { *rest };
+    let digits = tail.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let mut read = tail;
+    match (digits, number(&mut read, digits)) {
+        (3, Some(milliseconds)) => {
+            *rest = read;
+            milliseconds * 1_000_000
+        }
+        (6, Some(microseconds)) if separated && rest[0] == b'.' => {
+            *rest = read;
+            microseconds * 1000
+        }
+        _ => 0,
+    }
+}
+
+/// The offset behind a time. A `-` begins one in ISO's form only: elsewhere it begins a counter.
+fn offset_behind(rest: &[u8], iso: bool) -> Option<i32> {
+    let mut tail = rest;
+    if matches!(tail.first(), Some(b'Z' | b'z')) {
+        return Some(0);
+    }
+    if matches!(tail, [b'_' | b' ', b'+', ..]) {
+        tail = &tail[1..];
+    }
+    for name in [&b"UTC"[..], b"GMT", b"_UTC", b"_GMT", b" UTC", b" GMT"] {
+        if let Some(behind) = tail.strip_prefix(name) {
+            let mut behind = behind;
+            let hours = match behind {
+                [_, hour @ b'0'..=b'9', next, ..] if !next.is_ascii_digit() => {
+                    i32::from(hour - b'0')
+                }
+                _ => 0,
+            };
+            let short = match behind.first() {
+                Some(b'+') => hours * 3600,
+                Some(b'-') => -hours * 3600,
+                _ => 0,
+            };
+            return Some(read_offset(&mut behind, true).unwrap_or(short));
+        }
+    }
+    let colon = tail.get(3) == Some(&b':');
+    read_offset(&mut tail, iso || colon)
+}
+
+/// `+0100`, `+01:00`, `+01-00` or `+01`; with `minus` also those with a minus.
+fn read_offset(rest: &mut &[u8], minus: bool) -> Option<i32> {
+    let sign = match rest.first()? {
+        b'+' => 1,
+        b'-' if minus => -1,
+        _ => return None,
+    };
+    let mut tail = &rest[1..];
+    let hours = number(&mut tail, 2)?;
+    let mut with_minutes = tail;
+    skip(&mut with_minutes, b":-");
+    let minutes = match number(&mut with_minutes, 2) {
+        Some(minutes) if minutes % 15 == 0 && minutes < 60 => {
+            tail = with_minutes;
+            minutes
+        }
+        Some(_) => return None,
+        None => 0,
+    };
+    if tail.first().is_some_and(u8::is_ascii_digit) {
+        return None;
+    }
+    let offset = hours * 3600 + minutes * 60;
+    *rest = tail;
+    (offset <= MAX_OFFSET_S).then_some(sign * offset)
+}
+
+/// A day in a folder's name, or in three, and a time of day behind it.
+fn by_day(path: &str) -> Option<Stamp> {
+    let starts = std::iter::once(0).chain(path.match_indices('/').map(|(at, _)| at + 1));
+    for start in starts {
+        let mut rest = &path.as_bytes()[start..];
+        let Some(date) = date(&mut rest).filter(|_| rest.first() == Some(&b'/')) else { continue };
+        let behind = &path[path.len() - rest.len() + 1..];
+        let name_at = behind.rfind('/').map_or(0, |at| at + 1);
+        let parts = std::iter::once(0).chain(behind.match_indices('/').map(|(at, _)| at + 1));
+        // At a part's beginning, or anywhere in the name where it has separators.
+        let at_part = parts.filter_map(|at| {
+            let mut rest = &behind.as_bytes()[at..];
+            time_of_day(date, &mut rest, false)
+        });
+        let in_name = || {
+            find(&behind[name_at..], |bytes| {
+                let separated = bytes.get(2).is_some_and(|byte| !byte.is_ascii_digit());
+                let mut rest = bytes;
+                if separated { time_of_day(date, &mut rest, false) } else { None }
+            })
+        };
+        if let Some(stamp) = at_part.into_iter().next().or_else(in_name) {
+            return Some(stamp);
+        }
+    }
+    None
+}
+
+/// Seconds since 1970, with milliseconds behind a dot, or milliseconds: the years 2001 to 2100.
+fn since_1970(bytes: &[u8]) -> Option<UtcMs> {
+    let digits = bytes.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let value: i64 = std::str::from_utf8(bytes.get(..digits)?).ok()?.parse().ok()?;
+    let seconds = 1_000_000_000..4_102_444_800;
+    match digits {
+        10 if seconds.contains(&value) => {
+            let mut rest = &bytes[digits..];
+            let separated = rest.first() == Some(&b'.');
+            let milliseconds = if separated { fraction(&mut rest) / 1_000_000 } else { 0 };
+            Some(UtcMs(value * 1000 + i64::from(milliseconds)))
+        }
+        13 if seconds.contains(&(value / 1000)) => Some(UtcMs(value)),
+        _ => None,
+    }
+}
+
+/// Takes one of these bytes off the front, if one is there.
+fn skip(rest: &mut &[u8], any: &[u8]) {
+    if let [first, tail @ ..] = rest
+        && any.contains(first)
+    {
+        *rest = tail;
+    }
 }
 
 /// Takes `digits` decimal digits off the front.
 fn number(rest: &mut &[u8], digits: usize) -> Option<i32> {
     let (head, tail) = rest.split_at_checked(digits)?;
-    let value = head.iter().try_fold(0, |value, byte| {
-        byte.is_ascii_digit().then(|| value * 10 + i32::from(byte - b'0'))
+    let value = head.iter().try_fold(0_i32, |value, byte| {
+        let digit = byte.is_ascii_digit().then(|| i32::from(byte - b'0'))?;
+        value.checked_mul(10)?.checked_add(digit)
     })?;
     *rest = tail;
     Some(value)
@@ -69,22 +284,84 @@ fn number(rest: &mut &[u8], digits: usize) -> Option<i32> {
 mod tests {
     use super::*;
 
+    /// 2026-01-05 08:00:00 UTC.
+    const EIGHT: i64 = 1_767_600_000_000;
+
     #[test]
     fn names_of_real_recordings() {
-        let eight = UtcMs(1_767_600_000_000);
         for (name, expected) in [
-            ("20260105T080000.000Z.jpg", Some(eight)),
-            ("20260105T080000.250Z.jpg", Some(UtcMs(eight.0 + 250))),
-            ("1001-2026_01_05_080000.jpg", Some(eight)),
-            ("cam7 2026-01-05 08:00:00.png", Some(eight)),
-            ("K109F_20260105080000.jpg", Some(eight)),
+            ("20260105T080000.000Z.jpg", Some(0)),
+            ("20260105T080000.250Z.jpg", Some(250)),
+            ("1001-2026_01_05_080000.jpg", Some(0)),
+            ("cam7 2026-01-05 08:00:00.png", Some(0)),
+            ("K109F_20260105080000.jpg", Some(0)),
+            ("192.168.1.64_01_20260105080000250_TIMING.jpg", Some(250)),
+            ("20260105_080000_250.jpg", Some(250)),
+            ("2026-01-05_08-00-00-7.jpg", Some(0)),
+            ("2026-01-05 at 08.00.00.jpg", Some(0)),
+            ("Image 2026-01-05 at 8.00.00 AM.jpg", Some(0)),
+            ("Image 2026-01-05 at 08.00.00 PM.jpg", Some(12 * 3_600_000)),
+            ("05.01.2026 08.00.00.jpg", Some(0)),
+            ("2026.01.05_08h00m00s.jpg", Some(0)),
+            ("01-20260105080000-03.jpg", Some(0)),
+            ("1767600000.jpg", Some(0)),
+            ("frame_1767600000.250.jpg", Some(250)),
+            ("cam_1767600000250.jpg", Some(250)),
             ("vehicle_01.jpg", None),
             ("20261305T080000Z.jpg", None),
             ("20260105T0800.jpg", None),
             ("9920260105080000.jpg", None),
             ("202601050800001.jpg", None),
+            ("IMG_0000000123.jpg", None),
         ] {
-            assert_eq!(from_name(name), expected, "{name}");
+            assert_eq!(from_path(name, 0), expected.map(|ms| UtcMs(EIGHT + ms)), "{name}");
+        }
+    }
+
+    #[test]
+    fn offsets_in_names_are_honoured() {
+        for (name, hours) in [
+            ("20260105T090000+0100.jpg", 0),
+            ("2026-01-05T09:00:00.000+01:00.jpg", 0),
+            ("2026-01-05T03-00-00-0500.jpg", 0),
+            ("20260105_090000+01.jpg", 0),
+            ("20260105_090000_UTC+1.jpg", 0),
+            ("20260105_090000_UTC+01.jpg", 0),
+            ("20260105_080000_GMT.jpg", 0),
+            // A counter, not an offset.
+            ("20260105-080000-0100.jpg", 0),
+            ("20260105-080000-01.jpg", 0),
+        ] {
+            assert_eq!(from_path(name, 0), Some(UtcMs(EIGHT + hours * 3_600_000)), "{name}");
+        }
+        let local = from_path("20260105_090000.jpg", 3600);
+        assert_eq!(local, Some(UtcMs(EIGHT)));
+        assert_eq!(from_path("20260105T080000Z.jpg", 3600), Some(UtcMs(EIGHT)), "its own counts");
+        assert_eq!(from_path("1767600000.jpg", 3600), Some(UtcMs(EIGHT)));
+        for (text, expected) in [
+            ("+01:00", Some(3600)),
+            ("-0530", Some(-19_800)),
+            ("+1", Some(3600)),
+            ("Z", Some(0)),
+            ("+25:00", None),
+            ("Berlin", None),
+        ] {
+            assert_eq!(offset_s(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn folders_by_day() {
+        for (path, expected) in [
+            ("2026-01-05/08-00-00.jpg", true),
+            ("20260105/080000.jpg", true),
+            ("2026/01/05/08/00/00.jpg", true),
+            ("cam/2026-01-05/001/jpg/08/00/00[R][0@0][0].jpg", true),
+            ("2026-01-05/cam_08.00.00.jpg", true),
+            ("2026-01-05/frame_080000.jpg", false),
+            ("2026-01-05/readme.jpg", false),
+        ] {
+            assert_eq!(from_path(path, 0), expected.then_some(UtcMs(EIGHT)), "{path}");
         }
     }
 }

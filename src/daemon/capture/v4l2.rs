@@ -14,7 +14,7 @@
 use super::backoff::{Backoff, LONGEST_AT_THE_BOX};
 use super::device::{DeviceError, DeviceSettings};
 use super::negotiate::{self, Choice, Encoding, FrameTime, Offer, stepped};
-use super::pixels::{self, Colour, Layout};
+use super::picture::pixels::{self, Colour, Layout};
 use super::queue::{BUFFERS, Question, Sequence};
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE, StreamCounts, decode};
 use crate::daemon::clock;

@@ -77,7 +77,6 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let median = |pick: fn(&Times) -> Duration| median_ms(turns.iter().map(pick));
     let peak_rss = peak_rss_mb();
     let preset = bench.station.line().preset();
-    #[cfg_attr(not(feature = "desk"), expect(unused_mut, reason = "the comparison adds to it"))]
     let mut report = json!({
         "frames": turns.len(),
         "picture": preset.table().image_size.to_string(),
@@ -95,7 +94,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         "peak_rss_mb": peak_rss,
     });
     let mut detector = Detector::load(&args.model.model, args.model.score)?;
-    detector.prepare(&station.frame().picture, 0);
+    detector.prepare(&bench.station.frame().picture, 0);
     let share = |share: Share| json!({"by": share.by, "share": round(share.of_time)});
     report["net"] = detector.shares(args.count.max(1))?.into_iter().map(share).collect();
     #[cfg(feature = "desk")]

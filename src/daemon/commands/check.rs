@@ -4,6 +4,7 @@
 //! longer than a moment fails the check, so that nobody leaves a camera that looks elsewhere.
 
 use crate::alarm::Alarm;
+use crate::daemon::address::masked;
 use crate::daemon::assemble::{broker, first_picture, open_line};
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
@@ -17,6 +18,13 @@ use verge_desk::{Exit, sysexits::SOFTWARE};
 /// Time between the two pictures: by then two of one scene that is not the table's count as
 /// a move, and a camera that gives more than one in this time must give another.
 const APART: Duration = Duration::from_secs(6);
+
+/// Longest wait for a video's second key picture.
+const KEYS: Duration = Duration::from_secs(12);
+/// Longest wait for a camera that gives the same picture again and again.
+const NEW: Duration = Duration::from_secs(70);
+/// Longest interval whose pictures are waited for.
+const LONGEST_WATCHED: Duration = Duration::from_secs(30);
 
 pub fn run(path: &Path) -> Result<(), Failure> {
     let mut report = Report::default();
@@ -38,8 +46,17 @@ pub fn run(path: &Path) -> Result<(), Failure> {
     if let Some(line) = &mut line {
         report.line("net", line.describe_net(), String::clone);
     }
-    let picture = report.line("camera", first_picture(&config, line.as_ref()), |(_, frame)| {
-        format!("{}: {}x{} px", config.camera.source, frame.picture.width, frame.picture.height)
+    let picture = first_picture(&config, line.as_ref()).and_then(|(source, frame)| {
+        source.settle(KEYS);
+        match source.too_slow() {
+            Some(advice) => Err(Failure::Pace(advice)),
+            None => Ok((source, frame)),
+        }
+    });
+    let picture = report.line("camera", picture, |(source, frame)| {
+        let (width, height) = (frame.picture.width, frame.picture.height);
+        let video = source.video().map_or(String::new(), |video| format!("; {video}"));
+        format!("{}: {width}x{height} px{video}", masked(&config.camera.source))
     });
     if let (Some(line), Some((source, frame))) = (line, picture) {
         let station = Station::with(source, frame, line);
@@ -68,7 +85,11 @@ fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> 
     let second = if is_new { measured(&mut station)? } else { Some(Event::Unchanged) };
     let event = match second {
         // A camera may give the same picture until its next is due.
-        Some(Event::Unchanged) if interval >= APART => first,
+        Some(Event::Unchanged) if interval > LONGEST_WATCHED => first,
+        Some(Event::Unchanged) if station.watch_pace(interval, NEW)? => match station.too_slow() {
+            Some(advice) => return Err(Failure::Pace(advice)),
+            None => first,
+        },
         second => second,
     };
     if second == Some(Event::Measured) {

@@ -29,7 +29,7 @@ pub fn run() -> Result<(), Failure> {
     let settings = LineSettings::recorded(recording.table.as_ref(), DEFAULT_MODEL.as_ref());
     let windows = WindowSettings::recorded(WINDOW);
     let (recorded, mut line, windows) =
-        open_recording(&settings, &windows, recording.frames.as_ref(), None)?;
+        open_recording(&settings, &windows, recording.frames.as_ref(), None, 0)?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
         .map_err(|e| Failure::Internal(e.to_string()))?;

@@ -9,6 +9,7 @@ use crate::daemon::line::LineSettings;
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
 use crate::daemon::presets::{TableSettings, WindowSettings};
+use crate::density::LaneReport;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -19,7 +20,7 @@ pub struct Args {
     /// Lane table; given several times, one for each preset of the camera
     #[arg(long, value_name = "FILE", required = true)]
     table: Vec<PathBuf>,
-    /// Folder of JPEG or PNG frames, played in the order of their names
+    /// Folder of JPEG or PNG frames, or of folders by day, played in the order of their times
     #[arg(long, value_name = "DIR")]
     frames: PathBuf,
     #[command(flatten)]
@@ -36,6 +37,9 @@ pub struct Args {
     /// Time between frames, s [default: from names, file times, else 120]
     #[arg(long, value_name = "S")]
     interval: Option<f64>,
+    /// Offset from UTC of times in names that state none, as +01:00
+    #[arg(long, value_name = "OFFSET", value_parser = utc_offset, default_value = "Z", allow_hyphen_values = true)]
+    utc_offset: i32,
     /// Which parts of a picture are searched
     #[arg(long, value_enum, default_value_t)]
     views: Views,
@@ -58,7 +62,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let windows = WindowSettings::recorded(Duration::from_secs(args.window));
     let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
     let (recorded, mut line, windows) =
-        open_recording(&settings, &windows, &args.frames, interval)?;
+        open_recording(&settings, &windows, &args.frames, interval, args.utc_offset)?;
     if recorded.assumes_interval() {
         log::warn!(
             "neither names nor file times tell when the frames were taken: one each {} s is \
@@ -69,17 +73,34 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut messages =
         text::Messages::new(&line.preset().table().camera_id, line.model(), recorded.tells_time());
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
+    let mut short = false;
     let mut heading = (!args.json).then_some(text::LANE_HEADING);
     play(recorded, &mut line, windows, |played| match (played, &mut detections) {
         (Played::Frame(frame, found), Some(file)) => file.line(&text::boxes(frame, found)),
         (Played::Frame(..), None) => Ok(()),
-        (Played::Window(window), _) if args.json => print(&messages.next(window)),
         (Played::Window(window), _) => {
+            let used = |lane: &LaneReport| lane.frames_used * 4 < lane.frames_expected * 3;
+            if !short && window.report.lanes.iter().any(used) {
+                short = true;
+                log::warn!(
+                    "a window has fewer than three quarters of its frames: replay gives its density \
+                     all the same, run gives null (windows.min_completeness)"
+                );
+            }
+            if args.json {
+                return print(&messages.next(window));
+            }
             heading.take().map_or(Ok(()), print)?;
             window.report.lanes.iter().try_for_each(|lane| print(&text::lane(window.report, lane)))
         }
     })?;
     detections.map_or(Ok(()), WholeFile::finish)
+}
+
+/// Reads an offset from UTC, s.
+fn utc_offset(text: &str) -> Result<i32, String> {
+    crate::daemon::assemble::utc_offset_s(text)
+        .ok_or_else(|| "give it as +01:00, -0530 or Z".to_owned())
 }
 
 /// Prints a line. A reader that has gone away (`| head`) ends the program in silence.

@@ -2,7 +2,9 @@
 
 use super::sections::MAX_TIMEOUT_S;
 use super::{Config, Mqtt};
+use crate::daemon::address::Address;
 use crate::daemon::publish::Format;
+use crate::daemon::trust::Trust;
 use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
 use crate::lane::MAX_NAME;
 
@@ -21,6 +23,10 @@ impl Config {
             "mqtt.root",
             format!("{:?}: give a topic without + #", self.mqtt.root),
         )?;
+        if let Some(reason) = self.camera.impossible() {
+            return Err(("camera.source", reason));
+        }
+        self.check_camera()?;
         for (key, seconds, most) in [
             ("camera.interval_s", self.camera.interval_s, 3600.0),
             ("camera.timeout_s", self.camera.timeout_s, MAX_TIMEOUT_S),
@@ -90,5 +96,40 @@ impl Config {
             "spool.days",
             format!("{}: give 0.01 to 60", self.spool.days),
         )
+    }
+
+    /// Keys of the camera that do not go together.
+    fn check_camera(&self) -> Result<(), (&'static str, String)> {
+        let camera = &self.camera;
+        let address = Address::parse(&camera.source).ok();
+        let has_login = address.as_ref().is_some_and(|address| address.login.is_some());
+        if has_login && camera.user.is_some() {
+            return Err((
+                "camera.user",
+                "the address holds a login too: leave one of them away".to_owned(),
+            ));
+        }
+        if camera.password_file.is_some() && camera.user.is_none() {
+            return Err(("camera.password_file", "whose is it? Set camera.user too".to_owned()));
+        }
+        let secure = address.is_some_and(|address| address.secure);
+        for (key, is_set) in [
+            ("camera.ca_file", camera.ca_file.is_some()),
+            ("camera.fingerprint", camera.fingerprint.is_some()),
+        ] {
+            if is_set && !secure {
+                return Err((
+                    key,
+                    "the source is not secured by TLS: https:// or rtsps://".to_owned(),
+                ));
+            }
+        }
+        if camera.ca_file.is_some() && camera.fingerprint.is_some() {
+            return Err(("camera.fingerprint", "give ca_file or fingerprint, not both".to_owned()));
+        }
+        if let Some(Err(reason)) = camera.fingerprint.as_deref().map(Trust::fingerprint) {
+            return Err(("camera.fingerprint", reason));
+        }
+        Ok(())
     }
 }

@@ -11,7 +11,9 @@ pub use sections::{
     Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, SourceKind, Spool, Views, Windows,
 };
 
+use crate::daemon::address::{Address, AddressError, veiled};
 use crate::daemon::publish::TlsFiles;
+use crate::daemon::trust::Trust;
 use secrets::{private, secret};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -44,6 +46,14 @@ pub enum ConfigError {
         /// Which key.
         key: &'static str,
         /// What is wrong, and what would be right.
+        reason: String,
+    },
+    /// The camera's keys.
+    #[error("{key}: {reason}")]
+    Camera {
+        /// Which key.
+        key: &'static str,
+        /// What is wrong with it.
         reason: String,
     },
     /// A file with a secret that is missing or open to others.
@@ -98,7 +108,7 @@ impl Config {
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let mut config: Self = toml::from_str(&text).map_err(|error| ConfigError::Parse {
             path: path.to_owned(),
-            reason: error.to_string().trim_end().to_owned(),
+            reason: veiled(error.to_string().trim_end()),
         })?;
         config.check().map_err(|(key, reason)| ConfigError::Value {
             path: path.to_owned(),
@@ -116,6 +126,40 @@ impl Config {
     pub fn camera_secret(&self) -> Result<Option<(String, String)>, ConfigError> {
         let Camera { user, password_file, .. } = &self.camera;
         secret("camera.password_file", user.as_deref(), password_file.as_deref())
+    }
+
+    /// The camera's address, where it is on a network.
+    ///
+    /// # Errors
+    /// [`ConfigError::Camera`].
+    pub fn camera_address(&self) -> Result<Address, ConfigError> {
+        let wrong = |error: AddressError| ConfigError::Camera {
+            key: "camera.source",
+            reason: error.to_string(),
+        };
+        Address::parse(&self.camera.source).map_err(wrong)
+    }
+
+    /// Which certificate the camera may show.
+    ///
+    /// # Errors
+    /// [`ConfigError::Secret`] for a file that cannot be read, [`ConfigError::Camera`].
+    pub fn camera_trust(&self) -> Result<Trust, ConfigError> {
+        let Camera { ca_file, fingerprint, .. } = &self.camera;
+        let wrong = |key, reason| ConfigError::Camera { key, reason };
+        if let Some(path) = ca_file {
+            let file = std::fs::read(path).map_err(|error| ConfigError::Secret {
+                key: "camera.ca_file",
+                path: path.clone(),
+                reason: error.to_string(),
+            })?;
+            let reason = |reason| wrong("camera.ca_file", format!("{}: {reason}", path.display()));
+            return Trust::certificates(&file).map_err(reason);
+        }
+        match fingerprint {
+            Some(text) => Trust::fingerprint(text).map_err(|e| wrong("camera.fingerprint", e)),
+            None => Ok(Trust::Public),
+        }
     }
 
     /// The broker's user and password.
@@ -175,6 +219,7 @@ impl Config {
         let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);
         self.spool.folder = state.join(&self.spool.folder);
         self.camera.password_file.as_mut().map(absolute);
+        self.camera.ca_file.as_mut().map(absolute);
         for file in [
             &mut self.mqtt.password_file,
             &mut self.mqtt.ca_file,
@@ -185,7 +230,8 @@ impl Config {
         }
         self.metrics.file.as_mut().map(absolute);
         if self.camera.kind() == SourceKind::Folder {
-            self.camera.source = folder.join(&self.camera.source).to_string_lossy().into_owned();
+            self.camera.source =
+                folder.join(self.camera.source.trim()).to_string_lossy().into_owned();
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The sections of the configuration with their keys and defaults.
 
+use crate::daemon::address::Address;
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -16,10 +17,18 @@ pub struct Camera {
     /// Longest wait for a snapshot, s.
     #[serde(default = "default_timeout_s")]
     pub timeout_s: f64,
-    /// User for basic authentication.
+    /// User, where the camera wants a login.
     pub user: Option<String>,
     /// File with the user's password.
     pub password_file: Option<PathBuf>,
+    /// Certificates (PEM) that the camera may show, or that vouch for it, in place of the public
+    /// ones.
+    pub ca_file: Option<PathBuf>,
+    /// SHA-256 of the one certificate that the camera may show.
+    pub fingerprint: Option<String>,
+    /// Other hosts to which the camera may redirect.
+    #[serde(default)]
+    pub redirect_hosts: Vec<String>,
     /// Whether pictures are judged before they are measured.
     #[serde(default = "default_watch")]
     pub watch: bool,
@@ -171,10 +180,8 @@ impl Default for Mqtt {
 /// What a camera's source is, by how it begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SourceKind {
-    /// `http://`, `https://`: asked for one picture after the other.
-    Snapshot,
-    /// `mjpeg+http://`, `mjpeg+https://`: asked once, sends picture after picture.
-    Mjpeg,
+    /// A camera on a network: anything with `://`.
+    Network,
     /// `/dev/`: a device at the box.
     Device,
     /// Anything else: recorded frames.
@@ -184,12 +191,30 @@ pub enum SourceKind {
 impl Camera {
     /// What the source is.
     pub fn kind(&self) -> SourceKind {
-        let begins = |with: &[&str]| with.iter().any(|start| self.source.starts_with(start));
-        match () {
-            () if begins(&["http://", "https://"]) => SourceKind::Snapshot,
-            () if begins(&["mjpeg+http://", "mjpeg+https://"]) => SourceKind::Mjpeg,
-            () if begins(&["/dev/"]) => SourceKind::Device,
-            () => SourceKind::Folder,
+        match self.source.trim() {
+            source if source.contains("://") => SourceKind::Network,
+            source if source.starts_with("/dev/") => SourceKind::Device,
+            _ => SourceKind::Folder,
+        }
+    }
+
+    /// What is wrong with the source, where nobody could open it.
+    pub(super) fn impossible(&self) -> Option<String> {
+        match self.kind() {
+            SourceKind::Network => Address::parse(&self.source).err().map(|e| e.to_string()),
+            SourceKind::Device => None,
+            SourceKind::Folder => {
+                let first = self.source.trim().split(['/', '?']).next().unwrap_or_default();
+                let name = first.split(':').next().unwrap_or_default();
+                let is_host = name.parse::<std::net::IpAddr>().is_ok()
+                    || name.eq_ignore_ascii_case("localhost")
+                    || (first.contains(':') && !name.is_empty())
+                    || self.source.contains(['?', '@']);
+                is_host.then(|| {
+                    "it is neither an address nor a folder: a camera's begins with http://, https://, \
+                     mjpeg+http://, mjpeg+https://, rtsp:// or rtsps://".to_owned()
+                })
+            }
         }
     }
 }

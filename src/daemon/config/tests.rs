@@ -51,6 +51,12 @@ fn wrong_keys_and_values_are_named() {
         ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
         ("#format = \"json\"", "format = \"xml\"", "xml"),
         ("#ca_file =", "ca_file =", "mqtt.tls"),
+        ("http://127.0.0.1:8080/", "rtmp://127.0.0.1/", "\"rtmp://\" is not supported"),
+        ("http://127.0.0.1:8080/", "127.0.0.1/", "neither an address nor a folder"),
+        ("http://127.0.0.1:8080/", "http://::1:8080/", "in brackets"),
+        ("http://127.0.0.1:8080/", "http://a:b#c@127.0.0.1/", "%23"),
+        ("#user = \"operator\"", "ca_file = \"camera.pem\"", "not secured by TLS"),
+        ("#user = \"operator\"", "password_file = \"x\"", "camera.password_file"),
         ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
         ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
         ("#days = 7.0", "days = 90", "spool.days"),
@@ -78,4 +84,29 @@ fn a_password_that_others_can_read_is_refused() {
     assert!(error.contains("644") && !error.contains("hunter2"), "{error}");
     let (user, password) = mode(0o600).expect("private").expect("given");
     assert_eq!((user.as_str(), password.as_str()), ("box", "hunter2"));
+}
+
+#[test]
+fn a_camera_s_address_is_read_and_its_login_taken_apart() {
+    let with = |source: &str, lines: &str| {
+        let text = EXAMPLE.replacen("http://127.0.0.1:8080/snapshot.jpg", source, 1).replacen(
+            "#user = \"operator\"",
+            lines,
+            1,
+        );
+        parse(&text)
+    };
+    let config = with(" HTTPS://admin:a%23b@camera/x?pwd=c ", "").expect("right");
+    assert_eq!(config.camera.kind(), SourceKind::Network);
+    let address = config.camera_address().expect("an address");
+    assert_eq!(address.login, Some(("admin".to_owned(), "a#b".to_owned())));
+    let error = with("http://admin:secret@camera/", "user = \"operator\"").expect_err("two logins");
+    assert!(error.contains("camera.user") && !error.contains("secret"), "{error}");
+    let pinned = format!("fingerprint = \"{}\"", "ab".repeat(32));
+    let config = with("rtsps://camera/x", &pinned).expect("right");
+    assert!(matches!(config.camera_trust(), Ok(Trust::Fingerprint(_))));
+    let error = with("rtsps://camera/x", "fingerprint = \"ab\"").expect_err("too short");
+    assert!(error.contains("camera.fingerprint"), "{error}");
+    assert_eq!(with("/dev/video0", "").expect("a device").camera.kind(), SourceKind::Device);
+    assert_eq!(with("frames.d/today", "").expect("a folder").camera.kind(), SourceKind::Folder);
 }

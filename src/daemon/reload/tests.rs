@@ -93,7 +93,7 @@ fn a_new_table_brings_new_views_and_its_own_windows() {
     let (old, new) = (regions(&before.line), regions(&after.line));
     assert_eq!((old.len(), new.len()), (2, 1), "{new:?}: no far part is left");
     assert!(new[0].y > old[0].y, "{old:?} {new:?}");
-    assert_eq!(after.presets[0].calibration().id, "second");
+    assert_eq!(after.presets[0].calibration().id.as_str(), "second");
 }
 
 #[test]

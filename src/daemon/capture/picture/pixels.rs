@@ -17,6 +17,8 @@ pub enum Colour {
     Bt601Full,
     /// BT.709 with luma 16 to 235: HDMI sources.
     Bt709,
+    /// BT.709 with luma 0 to 255: what many cameras stream.
+    Bt709Full,
 }
 
 /// Fixed-point factors: 1 is 1024, so that the sum of a pixel fits in 20 bits and a sign.
@@ -57,6 +59,14 @@ impl Colour {
                 green_u: 218,
                 green_v: 546,
                 blue_u: 2163,
+            },
+            Self::Bt709Full => Matrix {
+                luma_zero: 0,
+                luma: 1024,
+                red_v: 1613,
+                green_u: 192,
+                green_v: 479,
+                blue_u: 1900,
             },
         }
     }
@@ -163,6 +173,57 @@ pub fn nv12(
         for (x, (&y, out)) in luma.iter().zip(out.chunks_exact_mut(3)).enumerate() {
             let pair = x & !1;
             out.copy_from_slice(&matrix.rgb(y, chroma[pair], chroma[pair + 1]));
+        }
+    }
+    Ok(())
+}
+
+/// A picture in three planes, as decoders give it: luma, and blue and red chroma with one sample
+/// for `across` by `down` pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct Planes<'a> {
+    /// Luma, `width * height`.
+    pub luma: &'a [u8],
+    /// Blue chroma (U, Cb).
+    pub blue: &'a [u8],
+    /// Red chroma (V, Cr).
+    pub red: &'a [u8],
+    /// Columns, px.
+    pub width: usize,
+    /// Rows, px.
+    pub height: usize,
+    /// Columns of pixels that share a sample of chroma.
+    pub across: usize,
+    /// Rows of pixels that do.
+    pub down: usize,
+}
+
+/// Three planes.
+///
+/// # Errors
+/// [`DecodeError::Short`] where a plane ends before the picture does.
+pub fn planes(
+    planes: &Planes<'_>,
+    colour: Colour,
+    picture: &mut Picture,
+) -> Result<(), DecodeError> {
+    let Planes { luma, blue, red, width, height, across, down } = *planes;
+    let chroma_row = width.div_ceil(across);
+    let chroma_len = chroma_row * height.div_ceil(down);
+    let expected = width * height + 2 * chroma_len;
+    let is_whole = luma.len() >= width * height && blue.len().min(red.len()) >= chroma_len;
+    if !is_whole || width == 0 || height == 0 {
+        let actual = luma.len() + blue.len() + red.len();
+        return Err(DecodeError::Short { expected, actual });
+    }
+    let matrix = colour.matrix();
+    Layout { width, height, stride: width }.prepare(picture);
+    let rows = luma.chunks_exact(width).zip(picture.rgb.chunks_exact_mut(width * 3));
+    for (index, (luma, out)) in rows.enumerate() {
+        let at = index / down * chroma_row;
+        let (blue, red) = (&blue[at..at + chroma_row], &red[at..at + chroma_row]);
+        for (x, (&y, out)) in luma.iter().zip(out.chunks_exact_mut(3)).enumerate() {
+            out.copy_from_slice(&matrix.rgb(y, blue[x / across], red[x / across]));
         }
     }
     Ok(())

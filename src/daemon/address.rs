@@ -1,0 +1,394 @@
+//! The address of a camera, as people type it.
+//!
+//! Owns what an address means (RFC 3986, as far as browsers and curl agree on it) and how it
+//! is shown: without login and query, for either may hold a password. Asks nobody.
+
+use super::foreign::shown;
+use std::fmt;
+
+/// How a camera is asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Protocol {
+    /// One request, one picture.
+    Snapshot,
+    /// One request, picture after picture.
+    Mjpeg,
+    /// A session that plays video.
+    Rtsp,
+}
+
+/// What addresses begin with.
+pub const SCHEMES: [&str; 6] =
+    ["http://", "https://", "mjpeg+http://", "mjpeg+https://", "rtsp://", "rtsps://"];
+
+/// Where a camera is asked for what.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Address {
+    /// How it is asked.
+    pub protocol: Protocol,
+    /// Whether the connection is secured by TLS.
+    pub secure: bool,
+    /// Host name or IP address, without brackets.
+    pub host: String,
+    /// Port.
+    pub port: u16,
+    /// Path and query, as they stand in a request.
+    pub target: String,
+    /// User and password that stand in the address, decoded.
+    pub login: Option<(String, String)>,
+}
+
+/// Why a text is no address. Never quotes it: it may hold a password.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AddressError {
+    /// Another scheme.
+    #[error(
+        "{0:?} is not supported: give an address that begins with http://, https://, mjpeg+http://, \
+         mjpeg+https://, rtsp:// or rtsps://, a device under /dev, or a folder"
+    )]
+    Scheme(String),
+    /// No host.
+    #[error("the address names no host: it has the form http://host/path")]
+    NoHost,
+    /// A host that is none.
+    #[error("{0:?} is not a host name or an IP address")]
+    Host(String),
+    /// IPv6 without brackets.
+    #[error("an IPv6 address stands in brackets: http://[2001:db8::1]/path")]
+    Brackets,
+    /// A port that is none.
+    #[error(
+        "behind the host's colon there is no port from 1 to 65535; a user and password go into \
+         camera.user and camera.password_file, or, in the address, with # / ? @ : written as \
+         %23 %2F %3F %40 %3A"
+    )]
+    Port,
+    /// A fragment with an at sign in it: a password with a `#`.
+    #[error(
+        "a # in the address's password ends the address: write it as %23, or use camera.user and \
+         camera.password_file"
+    )]
+    Fragment,
+    /// A percent sign without two digits.
+    #[error("the login in the address has a % that is not followed by two hexadecimal digits")]
+    Percent,
+    /// A control character.
+    #[error("the address holds a control character")]
+    Control,
+}
+
+impl Address {
+    /// Reads an address. Blanks around it do not count, those inside are encoded.
+    ///
+    /// # Errors
+    /// [`AddressError`] says what to write instead.
+    pub fn parse(text: &str) -> Result<Self, AddressError> {
+        let text = text.trim();
+        if text.chars().any(char::is_control) {
+            return Err(AddressError::Control);
+        }
+        let (scheme, rest) = text.split_once("://").ok_or(AddressError::NoHost)?;
+        let scheme = scheme.to_ascii_lowercase();
+        let (protocol, secure) = match scheme.as_str() {
+            "http" => (Protocol::Snapshot, false),
+            "https" => (Protocol::Snapshot, true),
+            "mjpeg+http" => (Protocol::Mjpeg, false),
+            "mjpeg+https" => (Protocol::Mjpeg, true),
+            "rtsp" => (Protocol::Rtsp, false),
+            "rtsps" => (Protocol::Rtsp, true),
+            _ => return Err(AddressError::Scheme(shown(&format!("{scheme}://")))),
+        };
+        let (rest, fragment) = rest.split_once('#').unwrap_or((rest, ""));
+        let authority_len = rest.find(['/', '?']).unwrap_or(rest.len());
+        let (authority, target) = rest.split_at(authority_len);
+        if fragment.contains('@') && !authority.contains('@') {
+            return Err(AddressError::Fragment);
+        }
+        // The last at sign: users put them into passwords.
+        let (login, host_port) = match authority.rsplit_once('@') {
+            Some((login, host_port)) => (Some(read_login(login)?), host_port),
+            None => (None, authority),
+        };
+        let (host, port) = read_host(host_port)?;
+        let port = match port {
+            Some(port) => port,
+            None => default_port(protocol, secure),
+        };
+        let slash = if target.starts_with('/') { "" } else { "/" };
+        let target = encode(&format!("{slash}{target}"));
+        Ok(Self { protocol, secure, host, port, target, login })
+    }
+
+    /// The address to which a `Location` leads from here. The protocol stays.
+    ///
+    /// # Errors
+    /// [`AddressError`] where it is none.
+    pub fn redirected(&self, location: &str) -> Result<Self, AddressError> {
+        let location = location.trim();
+        let own = |target: String| Self { target, ..self.clone() };
+        let plain = location.to_ascii_lowercase();
+        let there = if plain.starts_with("http://") || plain.starts_with("https://") {
+            Self::parse(location)?
+        } else if let Some(rest) = location.strip_prefix("//") {
+            Self::parse(&format!("http{}://{rest}", if self.secure { "s" } else { "" }))?
+        } else if location.starts_with('/') {
+            own(encode(location))
+        } else if plain.split(['/', '?', '#']).next().is_some_and(|first| first.contains(':')) {
+            return Err(AddressError::Scheme(shown(plain.split(':').next().unwrap_or_default())));
+        } else {
+            let path = self.target.split('?').next().unwrap_or("/");
+            let folder = match location.strip_prefix('?') {
+                Some(_) => path,
+                None => &path[..=path.rfind('/').unwrap_or(0)],
+            };
+            own(encode(&format!("{folder}{location}")))
+        };
+        let target = there.target.split('#').next().unwrap_or("/").to_owned();
+        Ok(Self { protocol: self.protocol, login: self.login.clone(), target, ..there })
+    }
+
+    /// Whether a login meant for this address may go to `other`: to the same host and port, or
+    /// from a host's `http` to its `https`; never from a secured connection to one that is not.
+    pub fn shares_login_with(&self, other: &Self) -> bool {
+        let standard =
+            |address: &Self| address.port == default_port(address.protocol, address.secure);
+        self.host.eq_ignore_ascii_case(&other.host)
+            && match (self.secure, other.secure) {
+                (true, false) => false,
+                (false, true) => standard(self) && standard(other),
+                _ => self.port == other.port,
+            }
+    }
+
+    /// Host and port as they stand in a request: the port where it is not the usual one.
+    pub fn host_port(&self) -> String {
+        let host = if self.host.contains(':') {
+            format!("[{}]", self.host.split('%').next().unwrap_or_default())
+        } else {
+            self.host.clone()
+        };
+        if self.port == default_port(self.protocol, self.secure) {
+            host
+        } else {
+            format!("{host}:{}", self.port)
+        }
+    }
+
+    /// The whole address without the login, as RTSP wants it in a request.
+    pub fn uri(&self) -> String {
+        format!("{}{}{}", self.scheme(), self.host_port(), self.target)
+    }
+
+    fn scheme(&self) -> &'static str {
+        let index = match self.protocol {
+            Protocol::Snapshot => 0,
+            Protocol::Mjpeg => 2,
+            Protocol::Rtsp => 4,
+        };
+        SCHEMES[index + usize::from(self.secure)]
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (path, query) = match self.target.split_once('?') {
+            Some((path, _)) => (path, "?..."),
+            None => (self.target.as_str(), ""),
+        };
+        write!(f, "{}{}{}{query}", self.scheme(), self.host_port(), shown(path))
+    }
+}
+
+impl fmt::Debug for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Address({self})")
+    }
+}
+
+/// A source as it may be shown: an address without login and query, anything else as it is.
+pub fn masked(source: &str) -> String {
+    match Address::parse(source) {
+        Ok(address) => address.to_string(),
+        Err(_) if source.contains("://") || source.contains('@') => "an address".to_owned(),
+        Err(_) => shown(source),
+    }
+}
+
+/// A text in which an address may stand, such as a quoted line of a file, without what may be secret
+/// in it.
+pub fn veiled(text: &str) -> String {
+    let (mut out, mut rest) = (String::new(), text);
+    while let Some(at) = rest.find("://") {
+        let (before, address) = rest.split_at(at + 3);
+        out.push_str(before);
+        let end = address.find(['"', '\'', '\n']).unwrap_or(address.len());
+        let (address, behind) = address.split_at(end);
+        let open = address.rsplit_once('@').map_or(address, |(_, open)| {
+            out.push_str("***@");
+            open
+        });
+        let (open, query) = open.split_once('?').map_or((open, ""), |(open, _)| (open, "?***"));
+        out.push_str(open);
+        out.push_str(query);
+        rest = behind;
+    }
+    out + rest
+}
+
+const fn default_port(protocol: Protocol, secure: bool) -> u16 {
+    match (protocol, secure) {
+        (Protocol::Rtsp, false) => 554,
+        (Protocol::Rtsp, true) => 322,
+        (_, false) => 80,
+        (_, true) => 443,
+    }
+}
+
+fn read_login(text: &str) -> Result<(String, String), AddressError> {
+    let (user, password) = text.split_once(':').unwrap_or((text, ""));
+    Ok((decode(user)?, decode(password)?))
+}
+
+fn read_host(text: &str) -> Result<(String, Option<u16>), AddressError> {
+    let (host, port) = if let Some(rest) = text.strip_prefix('[') {
+        let (host, rest) = rest.split_once(']').ok_or(AddressError::Brackets)?;
+        let host = decode(host)?;
+        let address = host.split('%').next().unwrap_or_default();
+        if address.parse::<std::net::Ipv6Addr>().is_err() {
+            return Err(AddressError::Host(shown(&host)));
+        }
+        (host, rest)
+    } else {
+        let end = text.find(':').unwrap_or(text.len());
+        let (host, port) = text.split_at(end);
+        if port.matches(':').count() > 1 {
+            return Err(AddressError::Brackets);
+        }
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
+        if host.is_empty() {
+            return Err(AddressError::NoHost);
+        }
+        if !host.chars().all(is_plain) {
+            return Err(AddressError::Host(shown(host)));
+        }
+        (host.to_owned(), port)
+    };
+    match port {
+        "" | ":" => Ok((host, None)),
+        _ => {
+            let port = port.strip_prefix(':').and_then(|port| port.parse().ok());
+            Ok((host, Some(port.filter(|&port| port > 0).ok_or(AddressError::Port)?)))
+        }
+    }
+}
+
+/// Writes what may not stand in a request's first line in hexadecimal; what is encoded stays.
+fn encode(target: &str) -> String {
+    let mut out = String::with_capacity(target.len());
+    for byte in target.bytes() {
+        if byte.is_ascii_graphic() && !matches!(byte, b'"' | b'<' | b'>') {
+            out.push(char::from(byte));
+        } else {
+            out.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    out
+}
+
+fn decode(text: &str) -> Result<String, AddressError> {
+    let (mut bytes, mut rest) = (Vec::new(), text.as_bytes());
+    while let Some((&byte, tail)) = rest.split_first() {
+        rest = tail;
+        if byte != b'%' {
+            bytes.push(byte);
+            continue;
+        }
+        let digits = tail.get(..2).and_then(|digits| std::str::from_utf8(digits).ok());
+        let digits = digits.filter(|digits| digits.bytes().all(|digit| digit.is_ascii_hexdigit()));
+        let value = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        bytes.push(value.ok_or(AddressError::Percent)?);
+        rest = &tail[2..];
+    }
+    String::from_utf8(bytes).map_err(|_| AddressError::Percent)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_as_people_type_them() {
+        for (text, shown, target) in [
+            ("HTTP://Camera/x.jpg", "http://Camera/x.jpg", "/x.jpg"),
+            (" http://camera:8080 ", "http://camera:8080/", "/"),
+            ("http://camera?a=b c", "http://camera/?...", "/?a=b%20c"),
+            ("http://camera:80/a%20b", "http://camera/a%20b", "/a%20b"),
+            ("mjpeg+https://[::1]:444/v", "mjpeg+https://[::1]:444/v", "/v"),
+            ("RTSP://u:p@camera:554/s?pwd=x", "rtsp://camera/s?...", "/s?pwd=x"),
+            ("http://camera/ü#part", "http://camera/%C3%BC", "/%C3%BC"),
+        ] {
+            let address = Address::parse(text).expect(text);
+            assert_eq!((address.to_string().as_str(), address.target.as_str()), (shown, target));
+        }
+    }
+
+    #[test]
+    fn the_login_is_decoded_and_never_shown() {
+        for (text, user, password) in [
+            ("http://admin:secret%231@camera/x?pwd=Tok3n", "admin", "secret#1"),
+            ("http://admin:a@b:c@camera/x", "admin", "a@b:c"),
+            ("http://admin@camera/x", "admin", ""),
+        ] {
+            let address = Address::parse(text).expect(text);
+            assert_eq!(address.login, Some((user.to_owned(), password.to_owned())));
+            for said in [address.to_string(), format!("{address:?}"), masked(text), address.uri()] {
+                assert!(!said.contains("admin") && !said.contains("secret"), "{said}");
+            }
+            assert!(!masked(text).contains("Tok3n"));
+            let line = format!("7 | source = \"{text}\n  | ^");
+            assert!(!veiled(&line).contains(password) || password.is_empty(), "{}", veiled(&line));
+            assert!(!veiled(&line).contains("Tok3n") && veiled(&line).ends_with("\n  | ^"));
+        }
+    }
+
+    #[test]
+    fn what_is_no_address_says_what_to_write_and_quotes_no_password() {
+        for (text, expected) in [
+            ("http://admin:secret#1@camera/x", AddressError::Fragment),
+            ("http://admin:secret/1@camera/x", AddressError::Port),
+            ("http://::1:80/x", AddressError::Brackets),
+            ("http:///x", AddressError::NoHost),
+            ("http://", AddressError::NoHost),
+            ("http://camera:0/", AddressError::Port),
+            ("http://a b/x", AddressError::Host("a b".into())),
+            ("http://u:p%zz@camera/", AddressError::Percent),
+            ("ftp://camera/x", AddressError::Scheme("ftp://".into())),
+            ("http://camera/\r\nx", AddressError::Control),
+        ] {
+            let error = Address::parse(text).expect_err(text);
+            assert_eq!(error, expected, "{text}");
+            assert!(!error.to_string().contains("secret"), "{error}");
+        }
+    }
+
+    #[test]
+    fn redirects_keep_the_login_at_home() {
+        let base = Address::parse("http://u:p@camera/a/b?c").expect("right");
+        for (location, target, shares) in [
+            ("/x", "/x", true),
+            ("x?y", "/a/x?y", true),
+            ("?y", "/a/b?y", true),
+            ("https://camera/x", "/x", true),
+            ("https://camera:8443/x", "/x", false),
+            ("http://camera:81/x", "/x", false),
+            ("//other/x", "/x", false),
+        ] {
+            let there = base.redirected(location).expect(location);
+            assert_eq!((there.target.as_str(), base.shares_login_with(&there)), (target, shares));
+        }
+        assert!(matches!(base.redirected("file:///etc/passwd"), Err(AddressError::Scheme(_))));
+        let secure = Address::parse("https://camera/").expect("right");
+        let there = secure.redirected("http://camera:443/").expect("right");
+        assert!(!secure.shares_login_with(&there));
+    }
+}

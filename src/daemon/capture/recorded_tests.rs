@@ -1,0 +1,81 @@
+use super::*;
+
+/// A recording of empty files with these names.
+fn recording(names: &[&str]) -> (tempfile::TempDir, Recorded) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for name in names {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        fs::write(path, b"").expect("a file");
+    }
+    let recorded = Recorded::open(folder.path(), None).expect("a recording");
+    (folder, recorded)
+}
+
+fn seconds(recorded: &Recorded) -> Vec<(String, f64)> {
+    let first = recorded.files[0].2;
+    let since = |time: UtcMs| time.saturating_since(first).as_secs_f64();
+    recorded.files.iter().map(|(_, name, time)| (name.clone(), since(*time))).collect()
+}
+
+#[test]
+fn a_stray_file_changes_no_other_file_s_time() {
+    let frames = ["20260105T080000Z.jpg", "20260105T080010Z.jpg", "20260105T080020Z.jpg"];
+    let (_folder, plain) = recording(&frames);
+    let (_folder, with_stray) = recording(&[&frames[..], &["0_map.png"]].concat());
+    assert_eq!(seconds(&plain), seconds(&with_stray));
+    assert!(with_stray.tells_time());
+    assert_eq!((with_stray.interval(), with_stray.frames()), (Duration::from_secs(10), 3));
+    let step = Some(Duration::from_secs(2));
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for name in [
+        "20260105T080000Z.jpg",
+        "20260105T080010Z.jpg",
+        "20260105T08_map.jpg",
+        "20260105T080020Z.jpg",
+    ] {
+        fs::write(folder.path().join(name), b"").expect("a file");
+    }
+    let paced = Recorded::open(folder.path(), step).expect("a recording");
+    let times: Vec<_> = seconds(&paced).into_iter().map(|(_, time)| time).collect();
+    assert_eq!(times, [0.0, 2.0, 4.0]);
+}
+
+#[test]
+fn folders_by_day_are_one_recording() {
+    let (_folder, recorded) = recording(&[
+        "2026-01-06/00-00-05.jpg",
+        "2026-01-05/23-59-55.jpg",
+        "2026-01-06/00-00-00.jpg",
+        ".cache/2026-01-01_00-00-00.jpg",
+        "thumbs/2026-01-06_00-00-05.jpg",
+    ]);
+    // Nothing lies in the folder itself: all of its folders count but the hidden one.
+    assert_eq!(recorded.frames(), 4);
+    let (_folder, recorded) = recording(&[
+        "2026-01-05_08-00-00.jpg",
+        "2026-01-05_08-00-10.jpg",
+        "thumbs/2026-01-05_08-00-00.jpg",
+    ]);
+    assert_eq!(recorded.frames(), 2);
+}
+
+#[test]
+fn frames_of_one_second_share_it() {
+    let (_folder, recorded) = recording(&[
+        "20260105T080000Z-1.jpg",
+        "20260105T080000Z-2.jpg",
+        "20260105T080001Z-1.jpg",
+        "20260105T080001Z-2.jpg",
+    ]);
+    let times: Vec<_> = seconds(&recorded).into_iter().map(|(_, time)| time).collect();
+    assert_eq!(times, [0.0, 0.5, 1.0, 1.5]);
+}
+
+#[test]
+fn of_file_times_the_rising_ones_count() {
+    let time = |seconds| Some(UtcMs(seconds));
+    let mut times = vec![time(90), time(10), time(20), time(5), time(30), None];
+    keep_rising(&mut times);
+    assert_eq!(times, [None, time(10), time(20), None, time(30), None]);
+}

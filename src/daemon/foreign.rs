@@ -1,0 +1,47 @@
+//! Text from outside, as it may stand in a log, an error or a message.
+//!
+//! Owns the two rules for it: at most [`MOST`] characters, and what controls a terminal is
+//! written out. What a camera or a broker says reaches both, and must neither fill them nor
+//! steer them.
+
+/// Most characters of foreign text that are shown.
+pub const MOST: usize = 200;
+
+/// `text` as it may be shown.
+pub fn shown(text: &str) -> String {
+    let mut out = String::new();
+    for (count, character) in text.chars().enumerate() {
+        if count == MOST {
+            out.push('…');
+            break;
+        }
+        // Marks that turn the direction of text can make a line read as another.
+        let steers = matches!(character, '\u{200e}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        if character.is_control() || steers {
+            out.extend(character.escape_default());
+        } else {
+            out.push(character);
+        }
+    }
+    out
+}
+
+/// Bytes as text that may be shown; what is no UTF-8 is replaced.
+pub fn shown_bytes(bytes: &[u8]) -> String {
+    // A character has up to four bytes: no more are looked at than can be shown.
+    let head = &bytes[..bytes.len().min(4 * (MOST + 1))];
+    shown(&String::from_utf8_lossy(head))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn foreign_text_is_short_and_steers_nothing() {
+        assert_eq!(shown("Kamera Süd"), "Kamera Süd");
+        assert_eq!(shown("a\u{1b}[2J\r\nb\u{202e}c"), "a\\u{1b}[2J\\r\\nb\\u{202e}c");
+        assert_eq!(shown(&"x".repeat(70_000)).chars().count(), MOST + 1);
+        assert_eq!(shown_bytes(&vec![0xff; 1 << 20]).chars().count(), MOST + 1);
+    }
+}

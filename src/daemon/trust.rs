@@ -1,0 +1,229 @@
+//! Which certificate a camera may show, and what is said where it shows another.
+//!
+//! Owns three rules: public authorities, a file of certificates, or one certificate's
+//! fingerprint. A certificate that stands in the file itself, or whose fingerprint is pinned, is
+//! taken as it is: cameras make their own, for no name and long expired.
+
+use rustls::client::WebPkiServerVerifier;
+use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
+use rustls::crypto::CryptoProvider;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
+use rustls::{
+    CertificateError, ClientConfig, DigitallySignedStruct, Error, RootCertStore, SignatureScheme,
+};
+use sha2::{Digest, Sha256};
+use std::sync::Arc;
+
+/// Which certificate is taken.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Trust {
+    /// One of a public authority.
+    #[default]
+    Public,
+    /// One of these, or one that an authority among these vouches for.
+    Certificates(Vec<CertificateDer<'static>>),
+    /// The one with this SHA-256 of its DER form.
+    Fingerprint([u8; 32]),
+}
+
+impl Trust {
+    /// The certificates of a PEM file, or of one in DER.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn certificates(file: &[u8]) -> Result<Self, String> {
+        let pem: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(file).collect();
+        let found = pem.map_err(|error| format!("not certificates in PEM: {error}"))?;
+        if !found.is_empty() {
+            return Ok(Self::Certificates(found));
+        }
+        if file.first() == Some(&0x30) {
+            return Ok(Self::Certificates(vec![CertificateDer::from(file.to_vec())]));
+        }
+        Err("no certificate in it (PEM, -----BEGIN CERTIFICATE-----)".to_owned())
+    }
+
+    /// Reads a fingerprint as `openssl x509 -noout -fingerprint -sha256` or a browser shows it.
+    ///
+    /// # Errors
+    /// What it should look like.
+    pub fn fingerprint(text: &str) -> Result<Self, String> {
+        let text = text.trim();
+        let text = text.rsplit_once(['=']).map_or(text, |(_, digits)| digits);
+        let text = text.strip_prefix("sha256:").or(text.strip_prefix("SHA256:")).unwrap_or(text);
+        let digits: Vec<u8> = text.bytes().filter(|byte| !matches!(byte, b':' | b' ')).collect();
+        let mut fingerprint = [0; 32];
+        let pairs = digits.chunks(2).map(|pair| {
+            let pair = std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?;
+            u8::from_str_radix(pair, 16).ok()
+        });
+        let bytes: Option<Vec<u8>> = pairs.collect();
+        match bytes {
+            Some(bytes) if bytes.len() == 32 => {
+                fingerprint.copy_from_slice(&bytes);
+                Ok(Self::Fingerprint(fingerprint))
+            }
+            _ => Err("a SHA-256 fingerprint has 64 hexadecimal digits, with or without colons"
+                .to_owned()),
+        }
+    }
+
+    /// How TLS is done with it.
+    pub fn config(&self) -> Result<ClientConfig, Error> {
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let verifier = Verifier::new(self, &provider)?;
+        Ok(ClientConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()?
+            .dangerous()
+            .with_custom_certificate_verifier(Arc::new(verifier))
+            .with_no_client_auth())
+    }
+}
+
+#[derive(Debug)]
+struct Verifier {
+    trust: Trust,
+    authorities: Option<Arc<WebPkiServerVerifier>>,
+    provider: Arc<CryptoProvider>,
+}
+
+impl Verifier {
+    fn new(trust: &Trust, provider: &Arc<CryptoProvider>) -> Result<Self, Error> {
+        let mut roots = RootCertStore::empty();
+        match trust {
+            Trust::Public => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
+            // What is no authority's counts as it stands.
+            Trust::Certificates(certificates) => {
+                roots.add_parsable_certificates(certificates.iter().cloned());
+            }
+            Trust::Fingerprint(_) => {}
+        }
+        let provider = Arc::clone(provider);
+        let authorities = if roots.is_empty() {
+            None
+        } else {
+            let builder =
+                WebPkiServerVerifier::builder_with_provider(roots.into(), provider.clone());
+            Some(builder.build().map_err(|error| Error::General(error.to_string()))?)
+        };
+        Ok(Self { trust: trust.clone(), authorities, provider })
+    }
+
+    /// Whether this very certificate is trusted.
+    fn is_pinned(&self, certificate: &CertificateDer<'_>) -> bool {
+        match &self.trust {
+            Trust::Public => false,
+            Trust::Certificates(known) => {
+                known.iter().any(|known| known.as_ref() == certificate.as_ref())
+            }
+            Trust::Fingerprint(known) => *known == <[u8; 32]>::from(Sha256::digest(certificate)),
+        }
+    }
+}
+
+impl ServerCertVerifier for Verifier {
+    fn verify_server_cert(
+        &self,
+        certificate: &CertificateDer<'_>,
+        intermediates: &[CertificateDer<'_>],
+        name: &ServerName<'_>,
+        ocsp: &[u8],
+        now: UnixTime,
+    ) -> Result<ServerCertVerified, Error> {
+        if self.is_pinned(certificate) {
+            return Ok(ServerCertVerified::assertion());
+        }
+        let own = fingerprint_text(certificate);
+        let Some(authorities) = &self.authorities else {
+            return Err(Error::General(match self.trust {
+                Trust::Fingerprint(_) => format!(
+                    "the camera's certificate is not the one in camera.fingerprint: it has {own}. Was \
+                     the camera replaced or reset?"
+                ),
+                _ => format!("the camera's certificate is not in camera.ca_file; it has {own}"),
+            }));
+        };
+        let judged = authorities.verify_server_cert(certificate, intermediates, name, ocsp, now);
+        judged.map_err(|error| Error::General(refusal(&error, &self.trust, &own)))
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        let known = &self.provider.signature_verification_algorithms;
+        rustls::crypto::verify_tls12_signature(message, certificate, signed, known)
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        let known = &self.provider.signature_verification_algorithms;
+        rustls::crypto::verify_tls13_signature(message, certificate, signed, known)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        self.provider.signature_verification_algorithms.supported_schemes()
+    }
+}
+
+fn fingerprint_text(certificate: &CertificateDer<'_>) -> String {
+    let digits: Vec<_> =
+        Sha256::digest(certificate).iter().map(|byte| format!("{byte:02X}")).collect();
+    format!("sha256:{}", digits.join(":"))
+}
+
+/// What is wrong with a certificate, and what to do.
+fn refusal(error: &Error, trust: &Trust, own: &str) -> String {
+    let remedy = format!(
+        "If {own} is what the camera's own page shows, write it into camera.fingerprint, or save the \
+         certificate and name it in camera.ca_file"
+    );
+    match error {
+        Error::InvalidCertificate(
+            CertificateError::Expired | CertificateError::ExpiredContext { .. },
+        ) => {
+            format!("the camera's certificate has expired (is the box's clock right?). {remedy}")
+        }
+        Error::InvalidCertificate(
+            CertificateError::NotValidForName | CertificateError::NotValidForNameContext { .. },
+        ) => format!("the camera's certificate is for another name. {remedy}"),
+        _ => {
+            let by = match trust {
+                Trust::Public => "no public authority vouches for the camera's certificate",
+                _ => {
+                    "the camera's certificate neither stands in camera.ca_file nor is signed by one that does"
+                }
+            };
+            format!("{by}: cameras make their own. {remedy}")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fingerprints_as_programs_print_them() {
+        let digits = "AB:".repeat(32);
+        let expected = Trust::Fingerprint([0xab; 32]);
+        for text in [
+            digits.trim_end_matches(':').to_owned(),
+            "ab".repeat(32),
+            format!("sha256:{}", "ab".repeat(32)),
+            format!("sha256 Fingerprint={}", digits.trim_end_matches(':')),
+        ] {
+            assert_eq!(Trust::fingerprint(&text).as_ref(), Ok(&expected), "{text}");
+        }
+        for text in ["", "ab", "abz", &"ab".repeat(20), &"é".repeat(32)] {
+            assert!(Trust::fingerprint(text).is_err(), "{text}");
+        }
+    }
+}

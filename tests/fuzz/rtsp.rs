@@ -95,7 +95,8 @@ fn packets_of_video() {
     };
     target.run(|_, input| {
         let (mut video, mut pictures) = (h264::Assembler::default(), jpeg::Assembler::default());
-        let (mut unit, mut picture, mut rest) = (Unit::default(), Picture::default(), input.as_slice());
+        let (mut unit, mut picture, mut rest) =
+            (Unit::default(), Picture::default(), input.as_slice());
         let (mut given, mut said) = (0, String::new());
         while let Some((&[high, low], tail)) = rest.split_first_chunk::<2>() {
             let length = usize::from(u16::from_be_bytes([high, low])).min(tail.len());

@@ -122,7 +122,8 @@ fn one_session(
             request.lines().find_map(|line| line.strip_prefix("CSeq: ")).unwrap_or("0").to_owned();
         let has_login = request.contains("Authorization: ");
         let _ = requests.send(request.clone());
-        if !server.challenges.is_empty() && !(has_login && server.accepts) {
+        let is_accepted = has_login && server.accepts;
+        if !server.challenges.is_empty() && !is_accepted {
             let lines: String = server
                 .challenges
                 .iter()

@@ -32,7 +32,7 @@ fn flat(columns: usize, rows: usize) -> Vec<u8> {
     // Luma: 00 1010, twice; chroma: 00 00, twice.
     let bits = "001010001010".to_owned() + "0000" + "0000";
     let mut all = bits.repeat(macroblocks);
-    while all.len() % 8 != 0 {
+    while !all.len().is_multiple_of(8) {
         all.push('1');
     }
     all.as_bytes()

@@ -101,18 +101,16 @@ impl<R: BufRead> Objects<R> {
             }
             self.give(count);
             let rest = &self.bytes[self.at..];
-            match rest.iter().position(|&byte| byte == b'{' || byte == b'\n') {
-                Some(at) if rest[at] == b'{' => {
-                    self.give(at);
-                    return Ok(Some(None));
-                }
-                None if rest.len() < LONGEST && self.fill()? => {}
-                _ => {
-                    let rest = &self.bytes[self.at..];
-                    let text = String::from_utf8_lossy(&rest[..rest.len().min(160)]);
-                    let text = text.lines().next().unwrap_or_default();
-                    return Ok(Some(Some(text.chars().take(40).collect())));
-                }
+            let end = rest.iter().position(|&byte| byte == b'{' || byte == b'\n');
+            if let Some(at) = end.filter(|&at| rest[at] == b'{') {
+                self.give(at);
+                return Ok(Some(None));
+            }
+            let may_go_on = end.is_none() && rest.len() < LONGEST;
+            let text = String::from_utf8_lossy(&rest[..rest.len().min(160)]);
+            let text = text.lines().next().unwrap_or_default().chars().take(40).collect();
+            if !may_go_on || !self.fill()? {
+                return Ok(Some(Some(text)));
             }
         }
     }
@@ -215,7 +213,8 @@ mod tests {
 
     fn found(text: &str) -> Vec<(usize, Result<String, String>)> {
         // A small buffer, so that every object comes in pieces.
-        let mut objects = Objects::of(io::BufReader::with_capacity(7, text.as_bytes()));
+        let capacity = if text.len() < 1000 { 7 } else { 1 << 16 };
+        let mut objects = Objects::of(io::BufReader::with_capacity(capacity, text.as_bytes()));
         let mut all = Vec::new();
         while let Some(Found { line, object }) = objects.next().expect("memory is readable") {
             all.push((line, object.map(|bytes| String::from_utf8(bytes).expect("UTF-8"))));

@@ -52,7 +52,9 @@ impl Assembly {
         let spool = Spool::open(config.spool_folder(), config.spool_windows())?;
         let identity = line.identity(&config.site);
         let station = Station::open(camera, line)?;
-        Ok((station, Outlet::start(broker, config.mqtt.format, identity, spool)))
+        let mut outlet = Outlet::start(broker, config.mqtt.format, identity, spool);
+        outlet.serve_node(config.serial_settings());
+        Ok((station, outlet))
     }
 }
 

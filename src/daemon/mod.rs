@@ -32,6 +32,7 @@ pub mod publish;
 mod reload;
 pub mod scene;
 mod sensor;
+pub mod serial;
 pub mod spool;
 mod station;
 

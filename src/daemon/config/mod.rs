@@ -8,10 +8,11 @@ mod secrets;
 mod sections;
 
 pub use sections::{
-    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, SourceKind, Spool, Views, Windows,
+    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, Serial, SourceKind, Spool, Views, Windows,
 };
 
 use crate::daemon::publish::TlsFiles;
+use crate::daemon::serial::SerialSettings;
 use secrets::{private, secret};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -80,6 +81,9 @@ pub struct Config {
     /// What is kept until it has arrived.
     #[serde(default)]
     pub spool: Spool,
+    /// An I/O node on a serial line.
+    #[serde(default)]
+    pub serial: Serial,
     /// Whether Home Assistant finds the sensor by itself.
     #[serde(default)]
     pub home_assistant: super::publish::home_assistant::Settings,
@@ -148,6 +152,14 @@ impl Config {
     /// Time between two pictures.
     pub fn interval(&self) -> Duration {
         Duration::from_secs_f64(self.camera.interval_s)
+    }
+
+    /// The serial line to an I/O node.
+    pub fn serial_settings(&self) -> Option<SerialSettings> {
+        let Serial { device, baud, window_s } = self.serial.clone();
+        let shortest = self.windows.lengths_s.iter().copied().min();
+        let window_s = window_s.or(shortest)?;
+        Some(SerialSettings { device: device?, baud, window_s })
     }
 
     /// Folder of the windows that have not arrived.

@@ -51,6 +51,7 @@ impl Sensor {
             return self.refuse(&failure);
         }
         self.outlet.change(broker, config.mqtt.format, identity, config.spool_windows());
+        self.outlet.serve_node(config.serial_settings());
         if is_other_camera {
             self.health = Health::new(config.interval(), self.since_start());
         }

@@ -175,7 +175,10 @@ mod tests {
     fn the_examples_of_the_paper() {
         let mut line = [0; MAX_ENCODED];
         assert_eq!(encode(&[0], &mut line), Some(&[0, 1, 1, 0][..]));
-        assert_eq!(encode(&[0x11, 0x22, 0, 0x33], &mut line), Some(&[0, 3, 0x11, 0x22, 2, 0x33, 0][..]));
+        assert_eq!(
+            encode(&[0x11, 0x22, 0, 0x33], &mut line),
+            Some(&[0, 3, 0x11, 0x22, 2, 0x33, 0][..])
+        );
         assert_eq!(encode(&[0x11, 0, 0, 0], &mut line), Some(&[0, 2, 0x11, 1, 1, 1, 0][..]));
     }
 

@@ -136,7 +136,8 @@ fn plausible(density_veh_km: f32) -> bool {
 
 impl Past {
     fn turn(&mut self, now: Duration, hold_s: u16, set: &Output) -> bool {
-        let past = |at, for_s: u16| millis(now).saturating_sub(millis(at)) >= i64::from(for_s) * 1000;
+        let past =
+            |at, for_s: u16| millis(now).saturating_sub(millis(at)) >= i64::from(for_s) * 1000;
         let fresh = self.read_at.is_some_and(|at| !past(at, hold_s));
         if !fresh {
             // The reading is forgotten. The fail-safe state is no detection, so that no least

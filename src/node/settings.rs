@@ -79,10 +79,9 @@ pub enum SettingsError {
 impl fmt::Display for SettingsError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::Threshold { output } => write!(
-                f,
-                "output {output}: thresholds are from 0 to {MAX_THRESHOLD_VEH_KM} veh/km"
-            ),
+            Self::Threshold { output } => {
+                write!(f, "output {output}: thresholds are from 0 to {MAX_THRESHOLD_VEH_KM} veh/km")
+            }
             Self::NoHysteresis { output } => {
                 write!(f, "output {output}: off_veh_km must be below on_veh_km")
             }

@@ -7,8 +7,8 @@ use super::*;
 use crate::density::SampleZoneStatus;
 use crate::lane::Name;
 use crate::units::LaneId;
-use crate::wire::{DensityMessage, MAX_MESSAGE};
 use crate::wire::tests as wired;
+use crate::wire::{DensityMessage, MAX_MESSAGE};
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
@@ -61,11 +61,11 @@ impl NorFlash for MockFlash {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = 512;
     fn erase(&mut self, from: u32, to: u32) -> Result<(), PowerCut> {
-        assert!(from % 512 == 0 && to % 512 == 0);
+        assert!(from.is_multiple_of(512) && to.is_multiple_of(512));
         (from..to).try_for_each(|at| self.change(at as usize, |_| 0xFF))
     }
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), PowerCut> {
-        assert!(offset % 4 == 0 && bytes.len() % 4 == 0);
+        assert!(offset.is_multiple_of(4) && bytes.len().is_multiple_of(4));
         let places = offset as usize..;
         places.zip(bytes).try_for_each(|(at, &byte)| self.change(at, |old| old & byte))
     }
@@ -134,9 +134,7 @@ enum Step {
 
 fn run(settings: Settings, steps: &[(u64, Step)]) {
     let mut outputs = Outputs::new(settings);
-    let mut seq = 0;
-    for (at_s, step) in steps {
-        seq += 1;
+    for (seq, (at_s, step)) in (1..).zip(steps) {
         let mut hear = |density, status| {
             outputs.hear(seconds(*at_s), &reading(seq, density, status));
         };
@@ -250,8 +248,14 @@ fn settings_are_checked_answered_and_kept() {
     for (bad, reason) in [
         (with(|s| s.hold_s = 0), SettingsError::Hold),
         (with(|s| (s.hold_s, s.window_s) = (60, 60)), SettingsError::Hold),
-        (with(|s| s.outputs[7] = Some(output(30.0, 30.0))), SettingsError::NoHysteresis { output: 8 }),
-        (with(|s| s.outputs[1] = Some(output(f32::NAN, 3.0))), SettingsError::Threshold { output: 2 }),
+        (
+            with(|s| s.outputs[7] = Some(output(30.0, 30.0))),
+            SettingsError::NoHysteresis { output: 8 },
+        ),
+        (
+            with(|s| s.outputs[1] = Some(output(f32::NAN, 3.0))),
+            SettingsError::Threshold { output: 2 },
+        ),
         (with(|s| s.outputs[1] = Some(output(30.0, -1.0))), SettingsError::Threshold { output: 2 }),
         (
             with(|s| s.outputs[0] = Some(Output { least_on_s: 9999, ..output(9.0, 3.0) })),
@@ -298,7 +302,9 @@ fn a_power_cut_at_every_byte_of_a_write_keeps_the_older_settings() {
             let mut slots = Slots::new(cut_flash);
             slots.load();
             slots.save(&numbered(generation)).expect("power is back");
-            assert!(matches!(slots.load(), Stored::Settings { settings, .. } if settings == numbered(generation)));
+            assert!(
+                matches!(slots.load(), Stored::Settings { settings, .. } if settings == numbered(generation))
+            );
         }
         assert!(cuts > 512, "a block to erase, and the settings");
     }

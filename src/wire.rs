@@ -25,7 +25,8 @@ const VERSION_BARE: u8 = 1;
 /// names, two hashes, counters and framing come to 1,860.
 pub const MAX_MESSAGE: usize = 2048;
 
-const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+/// The checksum of everything that the project sends in binary.
+pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// Where the metres of a density come from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -59,7 +59,8 @@ impl Assembly {
         let Self { line, presets, camera, broker, identity } = self;
         let spool = Spool::open(config.spool_folder(), config.spool_windows())?;
         let station = Station::open(camera, line)?;
-        let outlet = Outlet::start(broker, config.mqtt.format, identity, spool);
+        let mut outlet = Outlet::start(broker, config.mqtt.format, identity, spool);
+        outlet.serve_node(config.serial_settings());
         Ok((station, Sensor::new(presets, config.interval()), outlet))
     }
 }

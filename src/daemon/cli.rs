@@ -40,6 +40,8 @@ enum Command {
     /// Rewrite published messages for a traffic centre: FIWARE, DATEX II, NTCIP, CSV
     #[cfg(feature = "desk")]
     Convert(commands::convert::Args),
+    /// Set up an I/O node on a serial line, or read its counters
+    Node(commands::node::Args),
     /// Time every stage; prints JSON
     Bench(commands::bench::Args),
     /// Print the manual page, for packages
@@ -76,6 +78,7 @@ where
         Command::Detect(args) => commands::detect::run(&args),
         #[cfg(feature = "desk")]
         Command::Convert(args) => commands::convert::run(&args),
+        Command::Node(args) => commands::node::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         Command::Man => manual(),
         #[cfg(feature = "demo")]

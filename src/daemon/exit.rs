@@ -126,6 +126,26 @@ pub enum Failure {
          onnxruntime and numpy (pip install onnxruntime numpy)"
     )]
     OnnxRuntime(String),
+    /// A serial line.
+    #[error(
+        "serial line {}: {source}; is the node connected and powered, are device and baud right, \
+         and does no other program (verge run) hold the line?",
+        device.display()
+    )]
+    Serial {
+        /// The device.
+        device: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Settings that an I/O node cannot work by.
+    #[error("node settings{}: {reason}", path.as_ref().map_or(String::new(), |path| format!(" {}", path.display())))]
+    NodeSettings {
+        /// The file; `None` where the node itself refused.
+        path: Option<PathBuf>,
+        /// What is wrong.
+        reason: String,
+    },
     /// A stage panicked.
     #[error("a fault of the program, please report it: {0}")]
     Stage(String),
@@ -154,14 +174,14 @@ impl Exit for Failure {
             Self::Device(DeviceError::NotBuilt { .. }) => CONFIG,
             Self::Capture(_) => UNAVAILABLE,
             Self::Device(_) | Self::OnnxRuntime(_) => UNAVAILABLE,
-            Self::Broker { .. } => UNAVAILABLE,
+            Self::Broker { .. } | Self::Serial { .. } => UNAVAILABLE,
             Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,
             Self::Model(_) => DATAERR,
             Self::Locate(LocateError::Read { .. }) => NOINPUT,
             Self::Locate(_) | Self::Tls(_) => DATAERR,
             Self::Input { .. } => NOINPUT,
-            Self::Messages { .. } => DATAERR,
+            Self::Messages { .. } | Self::NodeSettings { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
             Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,

@@ -34,6 +34,7 @@ pub mod publish;
 mod reload;
 mod running;
 pub mod scene;
+pub mod serial;
 pub mod spool;
 mod station;
 pub mod trust;

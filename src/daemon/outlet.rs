@@ -3,6 +3,7 @@
 //! Owns the order of spool and publish, and names both so that they need not know each other.
 
 use super::publish::{Delivery, Format, Identity, MqttSettings, Publisher};
+use super::serial::{SerialOutput, SerialSettings};
 use super::spool::{Spool, SpoolCounts};
 use crate::sensor::ClosedWindow;
 
@@ -15,17 +16,30 @@ pub struct Outlet {
     identity: Identity,
     spool: Spool,
     publisher: Publisher,
+    serial: Option<SerialOutput>,
 }
 
 impl Outlet {
     /// Starts publishing; a broker that is away is no error.
     pub fn start(broker: MqttSettings, format: Format, identity: Identity, spool: Spool) -> Self {
-        Self { identity, spool, publisher: Publisher::start(broker, format) }
+        Self { identity, spool, publisher: Publisher::start(broker, format), serial: None }
     }
 
     /// The same without a disk: what has not arrived ends with the program.
     pub fn in_memory(broker: MqttSettings, format: Format, identity: Identity) -> Self {
         Self::start(broker, format, identity, Spool::in_memory())
+    }
+
+    /// Windows go to an I/O node too, or no longer; a line that stays the same is not touched.
+    pub fn serve_node(&mut self, settings: Option<SerialSettings>) {
+        if self.serial.as_ref().map(SerialOutput::settings) != settings.as_ref() {
+            self.serial = settings.map(SerialOutput::start);
+        }
+    }
+
+    /// Windows that did not reach the I/O node.
+    pub fn lost_to_node(&self) -> u64 {
+        self.serial.as_ref().map_or(0, SerialOutput::lost)
     }
 
     /// Takes a window. It outlives the program from here on, unless the disk refuses it.
@@ -35,6 +49,9 @@ impl Outlet {
         let length_s = u32::try_from(length_s).unwrap_or(u32::MAX);
         let number = |seq| identity.message(window, clock_synced, seq);
         let (key, message) = self.spool.accept(length_s, number);
+        if let Some(serial) = &self.serial {
+            serial.window(&message);
+        }
         self.hear();
         if self.publisher.live(key, &message) {
             self.spool.give(key);

@@ -4,7 +4,7 @@ use super::*;
 use crate::density::{LaneReport, MAX_LANE_CELLS, SampleZoneStatus};
 use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass};
 
-fn lane(number: u8, density: Option<f32>) -> LaneReport {
+pub(crate) fn lane(number: u8, density: Option<f32>) -> LaneReport {
     LaneReport {
         lane: LaneId::new(number).expect("in range"),
         direction: Direction::Toward,
@@ -24,7 +24,7 @@ fn lane(number: u8, density: Option<f32>) -> LaneReport {
     }
 }
 
-fn message(lanes: &[LaneReport]) -> DensityMessage {
+pub(crate) fn message(lanes: &[LaneReport]) -> DensityMessage {
     let name = |text| Name::try_from(text).expect("short");
     DensityMessage {
         site: name("k1"),

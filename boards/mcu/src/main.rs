@@ -1,50 +1,29 @@
-//! The core of verge on a microcontroller: Cortex-M4F, detections in, messages out.
+//! The I/O node on a Cortex-M4F: a serial line in, up to eight outputs for a signal controller.
 //!
-//! A detector beside the microcontroller writes one frame's boxes into `INBOX`, the lane
-//! table lies in external flash, messages leave through `OUTBOX`. What this file is for:
-//! it links every part of the core inside `memory.x` (the link fails when the core
-//! outgrows it) and without a single panic path (the panic handler calls a function that
-//! does not exist, so that a reachable panic is a link error).
+//! The board is Arm's MPS2+ with image AN386 (Arm DAI 0386), as `qemu-system-arm` has it: a
+//! CMSDK UART at 115,200 baud, the eight user LEDs as outputs, a CMSDK watchdog, and PSRAM that
+//! keeps its content over a reset, which plays the part of a flash. What the node does is
+//! [`verge::node`]; this file is clock, UART, pins, watchdog. `tests/node/run` runs it.
+//!
+//! It links inside `memory.x`, stack included, and without a panic path: the panic handler
+//! calls a function that does not exist.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
+mod board;
+
+#[cfg(target_os = "none")]
 mod firmware {
-    use core::ptr::addr_of_mut;
+    use crate::board::{self, MAX_LINE, Psram, Sending};
     use core::time::Duration;
-    use cortex_m_rt::entry;
-    use verge::density::{Aggregator, Start};
-    use verge::hal::{Board, Switch, Watchdog};
-    use verge::health::{Event, Health};
-    use verge::lane::{LaneTable, Name};
-    use verge::units::{ImagePoint, UtcMs, VehicleClass};
-    use verge::wire::{self, CalibrationRef, DensityMessage, MAX_MESSAGE, ModelRef};
+    use cortex_m_rt::{entry, exception};
+    use verge::hal::Switch;
+    use verge::node::link::encode;
+    use verge::node::protocol::write_answer;
+    use verge::node::{MAX_ANSWER, Node};
 
-    /// Where the lane table lies: memory-mapped QSPI flash of an STM32F4 (RM0386, 13.3).
-    const TABLE_AT: *const u8 = 0x9000_0000 as *const u8;
-    /// Bytes of a 320x240 table: header, description, five bytes a cell, checksum.
-    const TABLE_LEN: usize = 12 + 200 + 320 * 240 * 5 + 4;
-    /// Most vehicles of one frame: eight lanes of 50 m at jam density and a half more.
-    const MAX_BOXES: usize = 96;
-    /// One frame a second, windows of a minute.
-    const INTERVAL: Duration = Duration::from_secs(1);
-    const WINDOW: Duration = Duration::from_secs(60);
-
-    /// One frame's vehicles as the detector writes them.
-    #[repr(C)]
-    struct Frame {
-        time_ms: i64,
-        count: u32,
-        contacts: [ImagePoint; MAX_BOXES],
-        classes: [u8; MAX_BOXES],
-    }
-
-    static mut INBOX: Frame = Frame {
-        time_ms: 0,
-        count: 0,
-        contacts: [ImagePoint { u: 0.0, v: 0.0 }; MAX_BOXES],
-        classes: [0; MAX_BOXES],
-    };
-    static mut OUTBOX: [u8; MAX_MESSAGE] = [0; MAX_MESSAGE];
+    /// Half a period of the heartbeat.
+    const HEARTBEAT: Duration = Duration::from_millis(500);
 
     unsafe extern "C" {
         /// Defined nowhere: a panic path that the linker cannot drop fails the link.
@@ -59,61 +38,65 @@ mod firmware {
 
     #[entry]
     fn main() -> ! {
-        let mut board: Board = Board::default();
-        let _ = measure(&mut board);
-        // Without a table there is nothing to measure: the watchdog resets the box.
+        let restarts = board::start();
+        let mut outputs = board::outputs();
+        let mut heartbeat = board::heartbeat();
+        let mut clock = board::Clock::default();
+        let mut sending = Sending::default();
+        let mut node = Node::start(Psram);
+        let mut latency_us = 0;
         loop {
-            core::hint::spin_loop();
+            if board::bytes_lost() {
+                node.bytes_lost();
+            }
+            let now = clock.now();
+            while let Some(byte) = board::next_byte() {
+                let Some(answer) = node.byte(now, byte) else { continue };
+                let (mut content, mut line) = ([0; MAX_ANSWER], [0; MAX_LINE]);
+                if let Some(bytes) = write_answer(&answer, &mut content)
+                    .and_then(|content| encode(content, &mut line))
+                {
+                    sending.begin(bytes);
+                }
+            }
+            let pins = node.pins(now);
+            for (bit, output) in outputs.iter_mut().enumerate() {
+                // A register of this board cannot fail.
+                let _ = output.set(pins & (1 << bit) != 0);
+            }
+            if let Some(came) = board::frame_came() {
+                latency_us = latency_us.max(board::microseconds().wrapping_sub(came));
+            }
+            node.board(now, latency_us, restarts);
+            let _ = heartbeat.set((now.as_millis() / HEARTBEAT.as_millis()) % 2 == 0);
+            sending.go_on();
+            board::feed_watchdog();
+            // The next millisecond or byte wakes it.
+            cortex_m::asm::wfi();
         }
     }
 
-    fn measure(board: &mut Board) -> Option<core::convert::Infallible> {
-        // SAFETY: the flash is mapped before reset leaves the boot loader and never written.
-        let bytes = unsafe { core::slice::from_raw_parts(TABLE_AT, TABLE_LEN) };
-        let table = LaneTable::parse(bytes).ok()?;
-        let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
-        let start = Start::AtNextWindow;
-        let mut line =
-            Aggregator::<1>::new(lanes, cell_m, &[WINDOW], INTERVAL, 0.75, start).ok()?;
-        let mut health = Health::new(INTERVAL, Duration::ZERO);
-        let mut seq = 0u64;
+    #[exception]
+    fn SysTick() {
+        board::tick();
+    }
+
+    /// Every interrupt and fault: the UART's, or something that only the watchdog can end.
+    #[exception]
+    unsafe fn DefaultHandler(interrupt: i16) {
+        if interrupt == board::UART_RECEIVED {
+            board::receive();
+        } else {
+            loop {
+                cortex_m::asm::nop();
+            }
+        }
+    }
+
+    #[exception]
+    unsafe fn HardFault(_: &cortex_m_rt::ExceptionFrame) -> ! {
         loop {
-            // SAFETY: single core, and the detector writes the next frame only after this
-            // one's message has left.
-            let frame = unsafe { addr_of_mut!(INBOX).read_volatile() };
-            let mut counts = line.counts();
-            for (&contact, &class) in
-                frame.contacts.iter().zip(&frame.classes).take(frame.count as usize)
-            {
-                let class = VehicleClass::ALL.get(usize::from(class)).copied();
-                if let Some(place) = table.place(contact) {
-                    counts.add(place.lane, place.s_m, class.unwrap_or(VehicleClass::Vehicle));
-                }
-            }
-            let time = UtcMs(frame.time_ms);
-            for report in line.observe(time, &counts) {
-                seq = seq.wrapping_add(1);
-                let message = DensityMessage {
-                    site: table.description().camera_id.clone(),
-                    seq,
-                    clock_synced: false,
-                    report,
-                    calibration: CalibrationRef {
-                        id: table.description().calibration_id.clone(),
-                        sha256: table.description().calibration_sha256,
-                        rel_err: table.description().length_rel_err,
-                    },
-                    model: ModelRef { name: Name::new(), sha256: [0; 32] },
-                };
-                // SAFETY: only this loop touches the outbox while it is being written.
-                let outbox = unsafe { &mut *addr_of_mut!(OUTBOX) };
-                let _ = wire::encode(&message, outbox);
-            }
-            let since_start = Duration::from_millis(frame.time_ms.unsigned_abs());
-            let actions = health.on(Event::Measured, since_start);
-            let _ = board.status_led.set(actions.led_on);
-            let _ = board.camera_power.set(actions.camera_power_on);
-            let _ = board.watchdog.feed();
+            cortex_m::asm::nop();
         }
     }
 }

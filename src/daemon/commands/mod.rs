@@ -10,6 +10,7 @@ pub mod convert;
 #[cfg(feature = "demo")]
 pub mod demo;
 pub mod detect;
+pub mod node;
 mod playback;
 mod recording;
 pub mod replay;

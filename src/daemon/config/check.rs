@@ -87,6 +87,16 @@ impl Config {
             "a certificate and its key (key_file) go together".into(),
         )?;
         known(
+            self.serial.window_s.is_none_or(|length| self.windows.lengths_s.contains(&length)),
+            "serial.window_s",
+            format!("{:?} s: give one of windows.lengths_s", self.serial.window_s),
+        )?;
+        known(
+            (1200..=921_600).contains(&self.serial.baud),
+            "serial.baud",
+            format!("{}: give 1200 to 921600, as the node has it", self.serial.baud),
+        )?;
+        known(
             (0.1..=1000.0).contains(&self.mqtt.replay_per_s),
             "mqtt.replay_per_s",
             format!("{}: give 0.1 to 1000", self.mqtt.replay_per_s),

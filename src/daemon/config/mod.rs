@@ -8,11 +8,12 @@ mod secrets;
 mod sections;
 
 pub use sections::{
-    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, SourceKind, Spool, Views, Windows,
+    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, Serial, SourceKind, Spool, Views, Windows,
 };
 
 use crate::daemon::address::{Address, AddressError, veiled};
 use crate::daemon::publish::TlsFiles;
+use crate::daemon::serial::SerialSettings;
 use crate::daemon::trust::Trust;
 use secrets::{private, secret};
 use serde::Deserialize;
@@ -90,6 +91,9 @@ pub struct Config {
     /// What is kept until it has arrived.
     #[serde(default)]
     pub spool: Spool,
+    /// An I/O node on a serial line.
+    #[serde(default)]
+    pub serial: Serial,
     /// Whether Home Assistant finds the sensor by itself.
     #[serde(default)]
     pub home_assistant: super::publish::home_assistant::Settings,
@@ -197,6 +201,14 @@ impl Config {
     /// Lengths of the windows.
     pub fn window_lengths(&self) -> Vec<Duration> {
         self.windows.lengths_s.iter().copied().map(Duration::from_secs).collect()
+    }
+
+    /// The serial line to an I/O node.
+    pub fn serial_settings(&self) -> Option<SerialSettings> {
+        let Serial { device, baud, window_s } = self.serial.clone();
+        let shortest = self.windows.lengths_s.iter().copied().min();
+        let window_s = window_s.or(shortest)?;
+        Some(SerialSettings { device: device?, baud, window_s })
     }
 
     /// Folder of the windows that have not arrived.

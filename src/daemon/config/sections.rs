@@ -1,6 +1,7 @@
 //! The sections of the configuration with their keys and defaults.
 
 use crate::daemon::address::Address;
+use crate::daemon::serial::DEFAULT_BAUD;
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -216,5 +217,23 @@ impl Camera {
                 })
             }
         }
+    }
+}
+
+/// An I/O node on a serial line.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Serial {
+    /// The line's device; `None`: there is no node.
+    pub device: Option<PathBuf>,
+    /// Bits per second.
+    pub baud: u32,
+    /// Length of the windows that go over it, s; `None`: the shortest.
+    pub window_s: Option<u64>,
+}
+
+impl Default for Serial {
+    fn default() -> Self {
+        Self { device: None, baud: DEFAULT_BAUD, window_s: None }
     }
 }

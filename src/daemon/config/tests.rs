@@ -31,6 +31,7 @@ fn the_example_is_right_and_shows_the_defaults() {
         (config.mqtt.certificate_file, config.mqtt.key_file) = (None, None);
         config.model.score = None;
         config.metrics.file = None;
+        (config.serial.device, config.serial.window_s) = (None, None);
         format!("{config:?}")
     };
     assert_eq!(comparable(full), comparable(short));
@@ -60,6 +61,8 @@ fn wrong_keys_and_values_are_named() {
         ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
         ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
         ("#days = 7.0", "days = 90", "spool.days"),
+        ("#window_s = 300", "window_s = 60", "serial.window_s"),
+        ("#baud = 115200", "baud = 5", "serial.baud"),
         ("#prefix = \"homeassistant\"", "prefix = \"a/#\"", "home_assistant.prefix"),
     ] {
         let bad = EXAMPLE.replacen(from, to, 1);

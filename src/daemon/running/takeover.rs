@@ -42,6 +42,7 @@ impl Running {
             return self.refuse(&failure);
         }
         self.hands.outlet.change(broker, config.mqtt.format, identity, config.spool_windows());
+        self.hands.outlet.serve_node(config.serial_settings());
         let interval = config.interval();
         self.tell(|sensor, act| sensor.replace(at, presets, interval, camera_since, act));
         self.hands.change(&self.config, &config, self.station.line());

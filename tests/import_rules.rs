@@ -39,46 +39,181 @@ fn names(code: &str, word: &str) -> bool {
     })
 }
 
-#[test]
-fn the_core_sees_no_std_log_clock_or_heap() {
-    let files = [
-        "units", "lane", "density", "wire", "hal", "alarm", "health", "fault", "derate", "picture",
-    ];
-    let read = |file: &str| fs::read_to_string(format!("src/{file}.rs")).expect("a core file");
-    let single = files.map(|file| (PathBuf::from(file), read(file)));
-    let folders = ["src/scene", "src/density", "src/lane"].into_iter().flat_map(sources);
-    let product = folders.filter(|(path, _)| !path.ends_with("tests.rs"));
-    for (path, text) in single.into_iter().chain(product) {
-        let code = code(&text);
-        for word in ["std", "alloc", "log", "Instant", "SystemTime", "daemon"] {
-            assert!(!names(&code, word), "{} names {word}", path.display());
-        }
-    }
+/// What a file of the core must not name.
+fn wrong_in_core(code: &str) -> Option<&'static str> {
+    let words = ["std", "alloc", "log", "Instant", "SystemTime", "daemon", "verge_messages"];
+    words.into_iter().find(|word| names(code, word))
 }
 
-/// The stages with the words by which other files would name them.
-const STAGES: [&str; 5] = ["capture", "detect", "locate", "publish", "spool"];
+#[test]
+fn the_core_sees_no_std_log_clock_or_heap() {
+    for (path, text) in sources("src") {
+        // `messages` and `daemon` are not the core, and `lib` declares them.
+        let is_core = !["src/daemon", "src/messages.rs", "src/lib.rs"]
+            .into_iter()
+            .any(|outside| path.starts_with(outside));
+        if is_core && !path.ends_with("tests.rs") {
+            assert_eq!(wrong_in_core(&code(&text)), None, "{}", path.display());
+        }
+    }
+    for broken in [
+        "use std::time::Duration;",
+        "fn now() -> u64 { SystemTime::now() }",
+        "use alloc::vec::Vec;",
+        "fn f() { log::warn!(\"\") }",
+        "use crate::daemon::clock;",
+    ] {
+        assert!(wrong_in_core(broken).is_some(), "{broken}");
+    }
+    assert_eq!(wrong_in_core("use core::time::Duration;\nuse libm::log10;"), None);
+}
+
+/// The stages of the line: modules of the daemon that do not know each other.
+const STAGES: [&str; 6] = ["capture", "scene", "detect", "locate", "publish", "spool"];
+/// The files that join stages.
+const JOINS: [&str; 3] = ["line.rs", "outlet.rs", "assemble.rs"];
+
+/// The paths of one `use` tree, braces expanded, names given by `as` left out.
+fn expanded(tree: &str) -> Vec<String> {
+    let Some((before, rest)) = tree.split_once('{') else {
+        let path = tree.split(" as ").next().unwrap_or_default();
+        return vec![path.split_whitespace().collect()];
+    };
+    let inside = rest.rsplit_once('}').map_or(rest, |(inside, _)| inside);
+    let (mut depth, mut part, mut paths) = (0, String::new(), Vec::new());
+    for character in inside.chars().chain([',']) {
+        match character {
+            ',' if depth == 0 => {
+                let part = std::mem::take(&mut part);
+                if !part.trim().is_empty() {
+                    paths.extend(expanded(&format!("{}{}", before.trim(), part.trim())));
+                }
+                continue;
+            }
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            _ => {}
+        }
+        part.push(character);
+    }
+    paths
+}
+
+/// The paths that a file imports, and whether it hands each on.
+fn imports(code: &str) -> Vec<(bool, String)> {
+    let mut found = Vec::new();
+    for statement in code.split(';') {
+        let line_starts = statement.match_indices("use ").filter(|&(at, _)| {
+            let line = statement[..at].rsplit('\n').next().unwrap_or_default().trim();
+            line.is_empty() || line.starts_with("pub")
+        });
+        let Some((at, _)) = line_starts.last() else { continue };
+        let is_public = statement[..at]
+            .trim_end()
+            .rsplit('\n')
+            .next()
+            .is_some_and(|line| line.trim_start().starts_with("pub"));
+        let tree = &statement[at + "use ".len()..];
+        found.extend(expanded(tree).into_iter().map(|path| (is_public, path)));
+    }
+    found
+}
+
+/// The modules of `src/daemon` in which a file lies: `["publish", "mqtt"]`.
+fn modules(file: &str) -> Vec<&str> {
+    let file = file.strip_prefix("src/daemon/").unwrap_or(file);
+    let file = file.strip_suffix(".rs").unwrap_or(file);
+    file.strip_suffix("mod").unwrap_or(file).split('/').filter(|part| !part.is_empty()).collect()
+}
+
+/// The stage of the daemon to which a path leads from that file, if to one.
+fn stage(file: &str, path: &str) -> Option<&'static str> {
+    let mut at = modules(file);
+    let mut segments = path.split("::").peekable();
+    match segments.peek().copied() {
+        Some("crate" | "verge") => {
+            segments.next();
+            if segments.next() != Some("daemon") {
+                return None;
+            }
+            at.clear();
+        }
+        Some("super") => {
+            while segments.next_if_eq(&"super").is_some() {
+                at.pop();
+            }
+        }
+        _ => return None,
+    }
+    let first = at.first().copied().or_else(|| segments.next());
+    STAGES.into_iter().find(|stage| Some(*stage) == first)
+}
+
+/// What is wrong with the stages that a file of the daemon names: in imports, expanded, and in
+/// paths where they are used.
+fn wrong_stages(file: &str, code: &str) -> Option<String> {
+    // The exit codes map every stage's errors and use nothing else of them.
+    let joins = file == "src/daemon/exit.rs"
+        || JOINS.into_iter().any(|join| file == format!("src/daemon/{join}"));
+    let own = modules(file).first().and_then(|own| STAGES.into_iter().find(|stage| stage == own));
+    let mut named = std::collections::BTreeSet::new();
+    for (is_public, path) in imports(code) {
+        let Some(stage) = stage(file, &path).filter(|stage| Some(*stage) != own) else { continue };
+        if is_public {
+            return Some(format!("hands on {path}: whoever imports it names {stage} unseen"));
+        }
+        named.insert(stage);
+    }
+    let words = code.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
+    let inline = words.filter_map(|word| stage(file, word));
+    named.extend(inline.filter(|stage| Some(*stage) != own));
+    let most = if own.is_some() { 0 } else { 1 };
+    (!joins && named.len() > most).then(|| format!("names {named:?}"))
+}
 
 #[test]
 fn only_line_outlet_and_assembly_name_two_stages() {
     for (path, text) in sources("src/daemon") {
-        // The exit codes map every stage's errors and use nothing else of them.
-        let joins = ["line.rs", "outlet.rs", "assemble.rs", "exit.rs"];
-        if joins.into_iter().any(|file| path == Path::new("src/daemon").join(file)) {
-            continue;
-        }
-        let code = code(&text);
-        let own = STAGES.into_iter().find(|stage| {
-            path.starts_with(format!("src/daemon/{stage}")) || path.ends_with(format!("{stage}.rs"))
-        });
-        let stages: Vec<_> =
-            STAGES.into_iter().filter(|stage| names(&code, stage) && Some(*stage) != own).collect();
-        match own {
-            Some(own) if path.starts_with(format!("src/daemon/{own}")) => {
-                assert!(stages.is_empty(), "{} names {stages:?}", path.display());
-            }
-            _ => assert!(stages.len() <= 1, "{} names {stages:?}", path.display()),
-        }
+        let file = path.to_str().expect("UTF-8");
+        let wrong = wrong_stages(file, &code(&text));
+        assert_eq!(wrong, None, "{file}");
+    }
+}
+
+#[test]
+fn a_second_stage_is_found_however_it_is_named() {
+    for (file, code) in [
+        ("src/daemon/running/mod.rs", "use super::{detect::Detector, spool::Spool};"),
+        ("src/daemon/metrics.rs", "use super::publish::Format;\nuse super::spool::Spool;"),
+        ("src/daemon/metrics.rs", "use crate::daemon::{capture, scene::{Scene, View}};"),
+        ("src/daemon/metrics.rs", "use super::locate;\nfn f() { super::detect::nms(); }"),
+        ("src/daemon/detect/nms.rs", "use crate::daemon::locate::Locator;"),
+        ("src/daemon/detect/nms.rs", "use super::super::capture::Source;"),
+        ("src/daemon/scene.rs", "fn f(d: &crate::daemon::detect::Detector) {}"),
+        ("src/daemon/line.rs", "pub use super::detect::Detector;"),
+        ("src/daemon/line.rs", "pub(crate) use super::{scene::Scene, locate::Anchor};"),
+    ] {
+        assert!(wrong_stages(file, code).is_some(), "{file}: {code}");
+    }
+    for (file, code) in [
+        ("src/daemon/line.rs", "use super::detect::Detector;\nuse super::locate::Anchor;"),
+        ("src/daemon/detect/engine.rs", "use super::head::Head;\nuse crate::scene::Cell;"),
+        ("src/daemon/commands/check.rs", "use super::detect;\nuse crate::daemon::publish;"),
+        ("src/daemon/publish/mod.rs", "pub use mqtt::{Tls, probe};"),
+    ] {
+        assert_eq!(wrong_stages(file, code), None, "{file}: {code}");
+    }
+}
+
+#[test]
+fn the_daemons_hub_takes_nothing_from_a_stage() {
+    // What stands in `mod.rs` is seen by every module of the daemon.
+    let text = fs::read_to_string("src/daemon/mod.rs").expect("the hub");
+    let ours = |path: &str| !["std::", "crate::hal::"].iter().any(|start| path.starts_with(start));
+    let taken: Vec<_> = imports(&code(&text)).into_iter().filter(|(_, path)| ours(path)).collect();
+    assert_eq!(taken, []);
+    for broken in ["use detect::Detector;", "pub use self::line::{Line, Stage};"] {
+        assert!(imports(broken).iter().any(|(_, path)| ours(path)), "{broken}");
     }
 }
 

@@ -69,14 +69,18 @@ fn the_streets_truth_is_averaged_over_the_windows() {
             .iter()
             .filter(|(key, _)| key.0 == *minute)
             .map(|(key, (sum, n))| {
-                serde_json::json!({"lane": key.1, "density_veh_km": sum / n + 1.0,
+                serde_json::json!({"lane": key.1, "direction": "away", "density_veh_km": sum / n + 1.0,
                     "density_se": 0.1, "length_m": 50.0, "frames_used": 30,
                     "frames_expected": 30, "status": "oK"})
             })
             .collect();
+        let from: jiff::Timestamp = format!("{minute}:00Z").parse().expect("a minute");
+        let to = from + jiff::SignedDuration::from_secs(60);
+        let sha256 = "0".repeat(64);
         let message = serde_json::json!({"schema": 1, "site": "street", "seq": seq + 1,
-            "window_s": 60, "from": format!("{minute}:00Z"), "clock_synced": true,
-            "lanes": lanes, "calibration": {"rel_err": null}});
+            "window_s": 60, "from": from.to_string(), "to": to.to_string(), "clock_synced": true,
+            "lanes": lanes, "calibration": {"id": "street", "sha256": sha256, "rel_err": null},
+            "model": {"name": "truth", "sha256": sha256}});
         messages += &format!("{message}\n");
     }
     let density = write(folder.path(), "density.jsonl", &messages);
@@ -105,7 +109,7 @@ fn bad_input_is_said() {
         (format!("{head}2026-01-05T08:00:00Z,1,-2\n"), "\"-2\" is negative"),
         (format!("{head}{0}{0}", "2026-01-05T08:00:00Z,1,2\n"), "line 3"),
         (format!("{head}2020-01-05T08:00:00Z,1,2\n"), "no window and lane in common"),
-        ("{\"schema\":1}\n".into(), "line 1: missing field"),
+        ("{\"schema\":1}\n".into(), "line 1: not a density message: missing field"),
     ] {
         let density = write(folder.path(), "density", &content);
         let args = ["score", "--truth", text(&truth), "--density", text(&density)];

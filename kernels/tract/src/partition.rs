@@ -78,14 +78,26 @@ pub(crate) fn partition(
             regions.entry(colours[&id]).or_default().push(id);
         }
         let before = refused.len();
-        let mut done = Vec::new();
+        let mut lowerings = Vec::new();
         for nodes in regions.values() {
             let lowering = Lowering::new(view, &computed, nodes, isa);
-            if !lowering.refused.is_empty() {
+            if lowering.refused.is_empty() {
+                lowerings.push((nodes, lowering));
+            } else {
                 refused.extend(lowering.refused);
+            }
+        }
+        let asked: HashSet<OutletId> =
+            lowerings.iter().flat_map(|(_, lowering)| lowering.entries()).collect();
+        let mut done = Vec::new();
+        for (nodes, lowering) in lowerings {
+            let outputs = outputs(model, nodes, &asked);
+            let unfinished = lowering.unfinished(&outputs);
+            if !unfinished.is_empty() {
+                let why = "the middle of a shuffle that goes on in tract".to_owned();
+                refused.extend(unfinished.into_iter().map(|id| (id, why.clone())));
                 continue;
             }
-            let outputs = outputs(model, nodes);
             let convolutions = lowering.convolutions;
             let mut leave = |why: Refusal| {
                 refused.extend(nodes.iter().map(|&id| (id, why.clone())));
@@ -105,8 +117,8 @@ pub(crate) fn partition(
     }
 }
 
-/// What is read outside of `nodes`.
-fn outputs(model: &TypedModel, nodes: &[usize]) -> Vec<OutletId> {
+/// What is read outside of `nodes`, by tract or as it was `asked` for by another region.
+fn outputs(model: &TypedModel, nodes: &[usize], asked: &HashSet<OutletId>) -> Vec<OutletId> {
     let inside: HashSet<usize> = nodes.iter().copied().collect();
     let outlets = nodes
         .iter()
@@ -114,7 +126,9 @@ fn outputs(model: &TypedModel, nodes: &[usize]) -> Vec<OutletId> {
     outlets
         .filter(|outlet| {
             let readers = model.outlet_successors(*outlet);
-            model.outputs.contains(outlet) || readers.iter().any(|r| !inside.contains(&r.node))
+            model.outputs.contains(outlet)
+                || asked.contains(outlet)
+                || readers.iter().any(|r| !inside.contains(&r.node))
         })
         .collect()
 }

@@ -3,6 +3,7 @@
 use crate::graph::QuantisedConstants;
 use crate::op::Subnet;
 use crate::partition::{Partition, partition};
+use std::collections::HashMap;
 use tract_core::internal::*;
 use tract_core::transform::ModelTransform;
 use verge_kernels::Isa;
@@ -46,13 +47,18 @@ impl KernelTransform {
             LeftToTract { node: node.name.clone(), operator: node.op.name().into_owned(), reason }
         });
         let left = left.collect();
+        // Where values lie once the region that gives them is one operator.
+        let mut moved: HashMap<OutletId, OutletId> = HashMap::new();
         for (index, region) in regions.into_iter().enumerate() {
             let mut patch = TypedModelPatch::default();
             let lowered = region.lowered;
             let taps: TVec<OutletId> = lowered
                 .entries
                 .iter()
-                .map(|entry| patch.tap_model(model, entry.outlet))
+                .map(|entry| {
+                    let outlet = moved.get(&entry.outlet).copied().unwrap_or(entry.outlet);
+                    patch.tap_model(model, outlet)
+                })
                 .collect::<TractResult<_>>()?;
             let outlets: Vec<OutletId> = lowered.exits.iter().map(|exit| exit.outlet).collect();
             let facts = outlets.iter().map(|&outlet| {
@@ -60,11 +66,15 @@ impl KernelTransform {
                 Ok(fact.datum_type.fact(fact.shape.clone()))
             });
             let op = Subnet::new(lowered, facts.collect::<TractResult<_>>()?, region.nodes);
-            let wires = patch.wire_node(format!("verge.{index}"), op, &taps)?;
-            for (outlet, wire) in outlets.into_iter().zip(wires) {
-                patch.shunt_outside(model, outlet, wire)?;
+            let name = format!("verge.{index}");
+            let wires = patch.wire_node(&name, op, &taps)?;
+            for (outlet, wire) in outlets.iter().zip(wires) {
+                patch.shunt_outside(model, *outlet, wire)?;
             }
             patch.apply(model)?;
+            let node = model.node_id_by_name(&name)?;
+            let places = (0..).map(|slot| OutletId::new(node, slot));
+            moved.extend(outlets.into_iter().zip(places));
         }
         model.compact()?;
         Ok(left)

@@ -201,6 +201,7 @@ fn detector(kind: Kind, size: [usize; 2], between: bool) -> TypedModel {
     let stem = m.block(input, 16, 3, 2, false);
     let low = m.pool(stem, 16);
     let mut low = m.block(low, 20, 1, 1, false);
+    let skipped = low;
     if between {
         low = m.wire(tanh(), &[low]);
         low = m.rounded(low);
@@ -211,7 +212,8 @@ fn detector(kind: Kind, size: [usize; 2], between: bool) -> TypedModel {
     let right = m.block(right, 10, 3, 1, true);
     let right = m.block(right, 10, 1, 1, false);
     let mixed = m.shuffled(left, right);
-    let sum = m.wire(add(), &[mixed, low]);
+    // Across the operator that may stand between.
+    let sum = m.wire(add(), &[mixed, skipped]);
     let sum = m.rounded(sum);
     let deep = m.block(sum, 20, 5, 2, true);
     let deep = m.block(deep, 24, 1, 1, false);

@@ -4,11 +4,11 @@ use super::Running;
 use crate::daemon::board::Driven;
 use crate::daemon::clock;
 use crate::daemon::line::Line;
-use crate::daemon::publish::payload::{self, Messages, Stream};
 use crate::daemon::scene::Aiming;
 use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
 use crate::health::Actions;
+use verge_messages::{self as payload, Messages, Stream};
 
 impl Running {
     pub(super) fn publish_health<L, R, W, T>(

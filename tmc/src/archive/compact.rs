@@ -266,6 +266,7 @@ mod tests {
         let (evening, later) = (at(7, "05T23:58"), at(8, "05T23:59"));
         // A day without a file lies between; 900 s is no neighbour of 60 s.
         let (morning, other) = (at(11, "07T00:00"), at(40, "07T00:00").replace(":60,", ":900,"));
+        let other = other.replace("07T00:01:00.000Z", "07T00:15:00.000Z");
         let second = at(12, "07T00:01");
         for order in [[&evening, &morning], [&morning, &evening]] {
             let folder = tempfile::tempdir().unwrap();

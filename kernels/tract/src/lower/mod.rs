@@ -83,6 +83,8 @@ pub(crate) struct Lowering<'a> {
     builder: Builder,
     values: HashMap<OutletId, Value>,
     entries: Vec<Entry>,
+    /// Entries of bytes whose DequantizeLinear lies outside.
+    bytes: HashMap<OutletId, (Activation, QuantParams)>,
     /// Slices of activations: whole and first channel.
     parts_of: HashMap<Activation, (Activation, usize)>,
     done: HashSet<usize>,
@@ -107,6 +109,7 @@ impl<'a> Lowering<'a> {
             builder: Builder::on(isa),
             values: HashMap::new(),
             entries: Vec::new(),
+            bytes: HashMap::new(),
             parts_of: HashMap::new(),
             done: HashSet::new(),
             convolutions: 0,
@@ -180,6 +183,23 @@ impl<'a> Lowering<'a> {
         if !self.computed.contains(&outlet.node) {
             return Err("a constant among its inputs".to_owned());
         }
+        // Bytes cross as bytes: what a DequantizeLinear outside makes floats of.
+        let source = self.view.node(outlet);
+        if let Some((quant, _)) = self.view.dequantise(source)
+            && let (bytes, Some(&[1, channels, height, width])) =
+                (source.inputs[0], self.view.shape(outlet))
+            && self.computed.contains(&bytes.node)
+        {
+            let known = self.bytes.get(&bytes).filter(|known| known.1 == quant).copied();
+            let made = known.map(|(activation, _)| activation);
+            let activation = made.unwrap_or_else(|| {
+                let kind = self.view.kind(bytes).unwrap_or(DatumType::U8);
+                self.entries.push(Entry { outlet: bytes, kind });
+                self.builder.input(Shape { height, width, channels }, Some(quant))
+            });
+            self.bytes.insert(bytes, (activation, quant));
+            return Ok(activation);
+        }
         let (shape, kind) = (self.view.shape(outlet), self.view.kind(outlet));
         let Some(&[1, channels, height, width]) = shape else {
             return Err("an input that is not one picture of known size".to_owned());
@@ -252,6 +272,19 @@ impl<'a> Lowering<'a> {
             }
             (Some(_), Value::Rows(_)) => Err("cells into bytes".to_owned()),
         }
+    }
+
+    /// What the region reads of the model around it.
+    pub(crate) fn entries(&self) -> impl Iterator<Item = OutletId> {
+        self.entries.iter().map(|entry| entry.outlet)
+    }
+
+    /// The nodes of `outputs`, outlets that are read outside, whose values the kernels do not
+    /// have: the middle of a shuffle that goes on elsewhere.
+    pub(crate) fn unfinished(&self, outputs: &[OutletId]) -> Vec<usize> {
+        let halves =
+            |outlet: &&OutletId| matches!(self.values.get(*outlet), Some(Value::Halves(..)));
+        outputs.iter().filter(halves).map(|outlet| outlet.node).collect()
     }
 
     /// The region as a net that gives `outputs`, outlets that are read outside.

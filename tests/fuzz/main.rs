@@ -121,7 +121,7 @@ fn models() {
         longest: 8192,
     };
     target.run(|_, input| {
-        fs::write(&path, &input).expect("writing a model");
+        fs::write(&path, &*input).expect("writing a model");
         outcome(inspect(&path, None), |model| magnitude(model.outputs.len() + model.left.len()))
     });
 }

@@ -117,7 +117,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     match args.from {
         Form::Json => {
             let mut objects = Objects::of(input);
-            while let Some(Found { line, object }) = objects.next().map_err(broken)? {
+            while let Some(Found { line, object }) = objects.next_object().map_err(broken)? {
                 convert(line, object.and_then(|object| of_json(&object)))?;
             }
         }

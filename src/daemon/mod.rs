@@ -37,6 +37,7 @@ pub mod scene;
 pub mod spool;
 mod station;
 pub mod trust;
+pub mod vehicles;
 
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use std::process::ExitCode;

@@ -8,7 +8,7 @@ mod secrets;
 mod sections;
 
 pub use sections::{
-    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, SourceKind, Spool, Views, Windows,
+    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, SourceKind, Spool, Views, Windows,
 };
 
 use crate::daemon::address::{Address, AddressError, veiled};

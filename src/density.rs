@@ -9,14 +9,18 @@
 
 mod cells;
 mod counts;
+mod error;
 
 pub use cells::{Cells, Division, MAX_LANE_CELLS};
 pub use counts::FrameCounts;
+pub use error::{Counting, DensityError, Errors, LOADS, LoadBias, SiteCorrection, Spread};
 
 use crate::lane::Lane;
+use crate::picture::Light;
 use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass, millis};
 use core::time::Duration;
 use counts::Series;
+use error::Load;
 use serde::{Deserialize, Serialize};
 
 /// Most windows that run side by side: 10 s, 60 s, 5 min, 15 min and two more.
@@ -75,6 +79,10 @@ pub struct LaneReport {
     /// postcard form of this type: `wire` writes it behind the rest of a message.
     #[serde(skip)]
     pub cells: Option<Cells>,
+    /// What errs beside sampling, and the interval of all together; `None` where a part of it
+    /// is not known. Written as `cells` are.
+    #[serde(skip)]
+    pub error: Option<DensityError>,
 }
 
 /// All lanes in one window.
@@ -150,6 +158,9 @@ struct Window {
     skipped_ms: i64,
     series: [Series; MAX_LANES],
     fault: SampleZoneStatus,
+    /// Frames that it had, and how many of them were taken by night.
+    frames: u32,
+    by_night: u32,
 }
 
 impl Window {
@@ -161,6 +172,8 @@ impl Window {
             skipped_ms: 0,
             series: Default::default(),
             fault: Default::default(),
+            frames: 0,
+            by_night: 0,
         }
     }
 
@@ -169,6 +182,7 @@ impl Window {
         (self.from, self.interval, self.skipped_ms) = (Some(from), interval, 0);
         self.series.fill(Series::default());
         self.fault = SampleZoneStatus::default();
+        (self.frames, self.by_night) = (0, 0);
     }
 
     /// Frames that it has at the camera's rate.
@@ -190,6 +204,8 @@ pub struct Aggregator<const W: usize = MAX_WINDOWS> {
     interval: Duration,
     min_completeness: f32,
     start: Start,
+    length_rel_err: Option<f32>,
+    errors: Errors,
 }
 
 impl<const W: usize> Aggregator<W> {
@@ -226,7 +242,23 @@ impl<const W: usize> Aggregator<W> {
             return Err(AggregateError::WindowCount(0));
         }
         let (divisions, lanes) = (Division::of_each(lanes, cell_m), lanes.clone());
-        Ok(Self { lanes, divisions, windows, interval, min_completeness, start })
+        let (length_rel_err, errors) = (None, Errors::default());
+        Ok(Self {
+            lanes,
+            divisions,
+            windows,
+            interval,
+            min_completeness,
+            start,
+            length_rel_err,
+            errors,
+        })
+    }
+
+    /// From now on reports have an interval from these errors: of the lengths of lanes (one
+    /// standard error, as a part), and of counting. A site's correction multiplies its counts.
+    pub fn set_errors(&mut self, length_rel_err: Option<f32>, errors: Errors) {
+        (self.length_rel_err, self.errors) = (length_rel_err, errors);
     }
 
     /// Counts of a frame to fill, for [`Self::observe`].
@@ -249,6 +281,10 @@ impl<const W: usize> Aggregator<W> {
         let closed = self.advance(time);
         for window in &mut self.windows {
             if window.from.is_some_and(|from| from <= time) {
+                window.frames = window.frames.saturating_add(1);
+                if counts.light() == Light::Night {
+                    window.by_night = window.by_night.saturating_add(1);
+                }
                 for (series, count) in window.series.iter_mut().zip(counts.lanes()) {
                     series.push(count);
                 }
@@ -334,6 +370,7 @@ impl<const W: usize> Aggregator<W> {
             let ended = Window { from: Some(from), ..window.clone() };
             window.series = Default::default();
             window.fault = Default::default();
+            (window.frames, window.by_night) = (0, 0);
             if ended.series.iter().any(|series| series.n > 0) {
                 let _ = closed.push(self.report(&ended, from));
             }
@@ -343,12 +380,18 @@ impl<const W: usize> Aggregator<W> {
 
     fn report(&self, window: &Window, from: UtcMs) -> WindowReport {
         let expected = window.expected().max(1);
+        let length_m: f32 = self.lanes.iter().map(|lane| lane.length_m).sum();
+        let vehicles = window.series.iter().filter_map(Series::mean).sum();
+        let frames = if window.frames > 0 { window.frames as f32 } else { 1.0 };
+        let night = window.by_night as f32 / frames;
         let mut lanes = heapless::Vec::new();
         for lane in &self.lanes {
             let index = usize::from(lane.id.get()) - 1;
             let (series, division) = (window.series.get(index), self.divisions.get(index));
             if let (Some(series), Some(&division)) = (series, division) {
-                let report = self.lane_report(lane, division, series, expected, window.fault);
+                let load = Load { vehicles, night, share: lane.length_m / length_m };
+                let of = (lane, division, load);
+                let report = self.lane_report(of, series, expected, window.fault);
                 // As many places as lanes: there is always room.
                 let _ = lanes.push(report);
             }
@@ -358,14 +401,15 @@ impl<const W: usize> Aggregator<W> {
 
     fn lane_report(
         &self,
-        lane: &Lane,
-        division: Division,
+        (lane, division, load): (&Lane, Division, Load),
         series: &Series,
         frames_expected: u32,
         fault: SampleZoneStatus,
     ) -> LaneReport {
         let enough = series.n as f32 >= self.min_completeness * frames_expected as f32;
+        let factor = self.errors.factor(load);
         let estimate = series.mean_and_error().filter(|_| enough);
+        let estimate = estimate.map(|(mean, error)| (mean * factor, error * factor));
         let status = match (estimate, fault) {
             (Some(_), _) => SampleZoneStatus::Ok,
             (None, SampleZoneStatus::Ok) if series.n == 0 => SampleZoneStatus::SensorFailure,
@@ -374,19 +418,23 @@ impl<const W: usize> Aggregator<W> {
         };
         let n = series.n as f32;
         let length_km = lane.length_m / 1000.0;
+        let length = (length_km, self.length_rel_err);
+        let occupied = series.occupied_m * factor / n / lane.length_m;
         LaneReport {
             lane: lane.id,
             direction: lane.direction,
             density_veh_km: estimate.map(|(mean, _)| mean / length_km),
             density_se: estimate.map(|(_, error)| error / length_km),
             vehicles_mean: estimate.map(|(mean, _)| mean),
-            by_class: estimate.map(|_| series.by_class.map(|sum| sum / n)),
-            space_occupancy: estimate.map(|_| (series.occupied_m / n / lane.length_m).min(1.0)),
+            by_class: estimate.map(|_| series.by_class.map(|sum| sum * factor / n)),
+            space_occupancy: estimate.map(|_| occupied.min(1.0)),
             length_m: lane.length_m,
             frames_used: series.n,
             frames_expected,
             status,
-            cells: Some(series.cells(division, estimate.is_some())),
+            cells: Some(series.cells(division, estimate.map(|_| factor))),
+            error: estimate
+                .and_then(|(mean, error)| self.errors.of(mean, error / length_km, length, load)),
         }
     }
 }

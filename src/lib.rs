@@ -1,6 +1,6 @@
 //! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
 //!
-//! The core (`units`, `lane`, `density`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
+//! The core (`units`, `lane`, `density`, `evidence`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
 //! `picture`, `scene`, `sensor`, `node`) is `no_std` and never allocates: time and temperature come in as
 //! arguments, effects go out as returned values. Behind the features of their names, `messages` turns the
 //! core's values into messages, and `daemon` is the line from camera to broker.
@@ -12,6 +12,7 @@ extern crate std;
 pub mod alarm;
 pub mod density;
 pub mod derate;
+pub mod evidence;
 pub mod fault;
 pub mod hal;
 pub mod health;

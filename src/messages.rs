@@ -53,7 +53,7 @@ pub fn density(message: &DensityMessage, done: Option<bool>) -> messages::Densit
 fn lane(report: &LaneReport) -> messages::Lane {
     let LaneReport { lane, direction, density_veh_km, density_se, vehicles_mean, .. } = report;
     let LaneReport { by_class, space_occupancy, length_m, frames_used, .. } = report;
-    let LaneReport { frames_expected, status, cells, .. } = report;
+    let LaneReport { frames_expected, status, cells, error, .. } = report;
     messages::Lane {
         lane: lane.get(),
         direction: (*direction).into(),
@@ -72,6 +72,9 @@ fn lane(report: &LaneReport) -> messages::Lane {
                 .as_ref()
                 .map(|densities| densities.iter().copied().map(rounded).collect()),
         }),
+        density_ci90: error.map(|error| error.ci90.map(rounded)),
+        calibration_se: error.map(|error| rounded(error.calibration)),
+        counting_se: error.map(|error| rounded(error.counting)),
     }
 }
 

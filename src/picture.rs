@@ -58,6 +58,23 @@ impl fmt::Display for Flaw {
     }
 }
 
+/// The light in which a frame was taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Light {
+    /// Daylight.
+    #[default]
+    Day,
+    /// Street light or headlights.
+    Night,
+}
+
+impl Light {
+    /// That of a picture with this mean level (0 to 255).
+    pub fn of_mean(mean: f32) -> Self {
+        if mean < NIGHT_MEAN { Self::Night } else { Self::Day }
+    }
+}
+
 /// What is read from one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {

@@ -4,25 +4,28 @@
 //!
 //! | offset | bytes | field |
 //! |---|---|---|
-//! | 0 | 1 | format version, 1 or 2 |
-//! | 1 | M | [`DensityMessage`] in postcard, without cells |
-//! | 1+M | C | version 2 only: the [`Cells`] of each lane in postcard, an option, lane by lane |
-//! | 1+M+C | 4 | CRC-32 (ISO-HDLC) of all bytes before, little-endian |
+//! | 0 | 1 | format version, 1 to 3 |
+//! | 1 | M | [`DensityMessage`] in postcard, without cells and errors |
+//! | 1+M | C | from version 2: the [`Cells`] of each lane in postcard, an option, lane by lane |
+//! | 1+M+C | E | from version 3: the [`DensityError`] of each lane likewise |
+//! | 1+M+C+E | 4 | CRC-32 (ISO-HDLC) of all bytes before, little-endian |
 //!
-//! Version 1 is read, version 2 is written.
+//! Versions 1 and 2 are read, version 3 is written.
 
-use crate::density::{Cells, WindowReport};
+use crate::density::{Cells, DensityError, WindowReport};
 use crate::lane::{Description, Name};
 use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 
 /// The format that this code writes.
-pub const VERSION: u8 = 2;
-/// The format without cells, which it reads too.
+pub const VERSION: u8 = 3;
+/// The format without cells and errors, which it reads too.
 const VERSION_BARE: u8 = 1;
-/// Most bytes of a message: eight lanes of at most 67 bytes, each with 32 cells in 135, three
-/// names, two hashes, counters and framing come to 1,860.
+/// The format with cells and without errors, which it reads too.
+const VERSION_CELLS: u8 = 2;
+/// Most bytes of a message: eight lanes of at most 67 bytes, each with 32 cells in 135 and
+/// errors in 17, three names, two hashes, counters and framing come to 1,996.
 pub const MAX_MESSAGE: usize = 2048;
 
 /// The checksum of everything that the project sends in binary.
@@ -154,6 +157,10 @@ pub fn encode<'b>(message: &DensityMessage, buffer: &'b mut [u8]) -> Result<&'b 
         let rest = buffer.get_mut(body_len..).ok_or(full)?;
         body_len += postcard::to_slice(&lane.cells, rest).map_err(|_| full)?.len();
     }
+    for lane in &message.report.lanes {
+        let rest = buffer.get_mut(body_len..).ok_or(full)?;
+        body_len += postcard::to_slice(&lane.error, rest).map_err(|_| full)?.len();
+    }
     let (body, rest) = buffer.split_at_mut_checked(body_len).ok_or(full)?;
     let trailer = rest.first_chunk_mut::<4>().ok_or(full)?;
     *trailer = CRC.checksum(body).to_le_bytes();
@@ -178,11 +185,15 @@ pub fn decode(bytes: &[u8]) -> Result<DensityMessage, WireError> {
     let body = |_| WireError::Body;
     let (mut message, mut rest) =
         postcard::take_from_bytes::<DensityMessage>(encoded).map_err(body)?;
-    if version == VERSION {
+    if version >= VERSION_CELLS {
         for lane in &mut message.report.lanes {
-            let cells;
-            (cells, rest) = postcard::take_from_bytes::<Option<Cells>>(rest).map_err(body)?;
-            lane.cells = cells;
+            (lane.cells, rest) = postcard::take_from_bytes::<Option<Cells>>(rest).map_err(body)?;
+        }
+    }
+    if version >= VERSION {
+        for lane in &mut message.report.lanes {
+            (lane.error, rest) =
+                postcard::take_from_bytes::<Option<DensityError>>(rest).map_err(body)?;
         }
     }
     if rest.is_empty() { Ok(message) } else { Err(WireError::Body) }

@@ -11,7 +11,7 @@ use std::time::Duration;
 use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::{Format, Identity, MqttSettings, payload};
-use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
+use verge::density::{Cells, DensityError, LaneReport, SampleZoneStatus, WindowReport};
 use verge::lane::{LaneTable, Name};
 use verge::sensor::ClosedWindow;
 use verge::units::{Direction, LaneId, UtcMs};
@@ -119,6 +119,7 @@ fn report() -> WindowReport {
             length_m: 50.0,
             density_veh_km: Some([40.0, 0.0].into_iter().collect()),
         }),
+        error: Some(DensityError { calibration: 1.0, counting: 2.0, ci90: [15.0, 25.0] }),
     };
     let (from, to) = (UtcMs(1_767_600_000_000), UtcMs(1_767_600_060_000));
     WindowReport { from, to, lanes: [lane].into_iter().collect() }

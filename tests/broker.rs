@@ -369,8 +369,13 @@ fn another_broker_gets_what_the_old_one_did_not() {
     accept(&mut outlet, &reports[0], true);
     tend(&mut outlet, "delivered", |outlet| outlet.counts().waiting == 0);
     let other = MqttSettings::local(ports[1], "verge/k109f");
+    let session = outlet.publisher().session();
     outlet.change(other, Format::Json, identity(), 1000);
-    // It closes before the new session is open.
+    // Until the old broker has heard goodbye, windows still go there.
+    tend(&mut outlet, "the other session", |outlet| {
+        let now = outlet.publisher().session();
+        now.is_some() && now != session
+    });
     accept(&mut outlet, &reports[1], true);
     tend(&mut outlet, "delivered", |outlet| outlet.counts().waiting == 0);
     outlet.stop();

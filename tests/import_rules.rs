@@ -259,12 +259,8 @@ fn nothing_imports_a_board_and_calibration_and_daemon_do_not_meet() {
 
 #[test]
 fn unsafe_lives_at_doors_that_need_it() {
-    let doors = [
-        "src/daemon/clock.rs",
-        "boards/mcu/src",
-        "boards/linux/watchdog.rs",
-        "kernels/src",
-    ];
+    let doors =
+        ["src/daemon/clock.rs", "boards/mcu/src", "boards/linux/watchdog.rs", "kernels/src"];
     for folder in ["src", "boards", "calib", "street", "detector", "kernels", "tmc"] {
         for (path, text) in sources(folder) {
             let is_door = doors.iter().any(|door| path.starts_with(door));

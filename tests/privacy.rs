@@ -13,7 +13,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use verge::daemon::publish::loopback::{self, Subscriber};
 use verge::daemon::publish::payload;
-use verge::density::{Cells, LaneReport, MAX_LANE_CELLS, SampleZoneStatus, WindowReport};
+use verge::density::{
+    Cells, DensityError, LaneReport, MAX_LANE_CELLS, SampleZoneStatus, WindowReport,
+};
 use verge::lane::{MAX_NAME, Name};
 use verge::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass};
 use verge::wire::{CalibrationRef, DensityMessage, ModelRef};
@@ -122,6 +124,11 @@ fn largest_message() -> usize {
         cells: Some(Cells {
             length_m: f32::MAX,
             density_veh_km: Some(std::iter::repeat_n(1.234_567_8e38, MAX_LANE_CELLS).collect()),
+        }),
+        error: Some(DensityError {
+            calibration: 1.234_567_8e38,
+            counting: 1.234_567_8e38,
+            ci90: [1.234_567_8e38; 2],
         }),
     });
     let message = DensityMessage {

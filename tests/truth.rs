@@ -14,7 +14,8 @@ use street::truth::FrameTruth;
 use verge::daemon::frame::{Detection, PixelBox};
 use verge::daemon::locate::Anchor;
 use verge::daemon::presets::{Presets, TableSettings, WindowSettings};
-use verge::density::WindowReport;
+use verge::density::{Errors, WindowReport};
+use verge::picture::Light;
 use verge::sensor::{Outcome, Preset, Windows};
 use verge::units::{ImagePoint, UtcMs, VehicleClass};
 
@@ -65,14 +66,18 @@ impl Counting {
         let settings = TableSettings { anchor, ..TableSettings::of(table) };
         let tables = Presets::load(&settings).expect("a right table");
         let interval = Duration::from_secs_f64(scene.interval_s);
-        let windows = tables.windows(&WindowSettings::recorded(QUARTER), interval);
+        let windows =
+            tables.windows(&WindowSettings::recorded(QUARTER), interval, &Errors::default());
         Self { tables, windows: Windows::new(windows.expect("right windows")) }
     }
 
     fn count(&mut self, detections: &[Detection], scene: &Scene, time: UtcMs) {
         let size = (scene.camera.width as usize, scene.camera.height as usize);
         let unmoved = ImagePoint { u: 0.0, v: 0.0 };
-        let counts = self.tables.count(0, detections, size, unmoved).expect("the table's camera");
+        let counts = self
+            .tables
+            .count(0, detections, size, unmoved, Light::Day)
+            .expect("the table's camera");
         let outcome = Outcome::Measured { preset: 0, counts };
         self.windows.take(time, &outcome, &mut |window| panic!("too early: {window:?}"));
     }

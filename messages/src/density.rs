@@ -18,6 +18,8 @@ const DAY_S: u32 = 86_400;
 
 /// A vehicle each 10 cm; a jam of cars has some 150.
 const MOST_VEH_KM: f32 = 10_000.0;
+/// An end of an interval: the most density and three times its error of the same size.
+const MOST_CI_VEH_KM: f32 = 1_000_000.0;
 /// Vehicles in one lane of one picture.
 const MOST_VEHICLES: f32 = 1000.0;
 /// Longest lane, m: a lane table holds 655 m.
@@ -114,6 +116,26 @@ pub struct Lane {
     /// the road.
     #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.1")))]
     pub cells: Option<Cells>,
+    /// Interval that holds the density with a probability of 90 %, veh/km: sampling, calibration
+    /// and counting together. null where one of these is not known.
+    #[cfg_attr(
+        feature = "schema",
+        schemars(extend("x-since" = "0.2"), inner(range(min = 0, max = MOST_CI_VEH_KM)))
+    )]
+    pub density_ci90: Option<[f32; 2]>,
+    /// One standard error from the calibration, veh/km.
+    #[cfg_attr(
+        feature = "schema",
+        schemars(extend("x-since" = "0.2"), range(min = 0, max = MOST_CI_VEH_KM))
+    )]
+    pub calibration_se: Option<f32>,
+    /// One standard error from counting, veh/km: over cameras that the model was not trained on,
+    /// or this site's own where it was audited.
+    #[cfg_attr(
+        feature = "schema",
+        schemars(extend("x-since" = "0.2"), range(min = 0, max = MOST_CI_VEH_KM))
+    )]
+    pub counting_se: Option<f32>,
 }
 
 /// Which way a lane's traffic moves, as the camera sees it.
@@ -286,7 +308,7 @@ impl Lane {
     fn check(&self) -> Result<(), Wrong> {
         let Self { lane, direction: _, density_veh_km, density_se, vehicles_mean, .. } = self;
         let Self { by_class, space_occupancy, length_m, frames_used, frames_expected, .. } = self;
-        let Self { status: _, cells, .. } = self;
+        let Self { status: _, cells, density_ci90, calibration_se, counting_se, .. } = self;
         count("lane", (*lane).into(), 1, MOST_LANES.into())?;
         known("density_veh_km", *density_veh_km, MOST_VEH_KM)?;
         known("density_se", *density_se, MOST_VEH_KM)?;
@@ -298,6 +320,12 @@ impl Lane {
         length("length_m", *length_m)?;
         count("frames_used", (*frames_used).into(), 0, MOST_FRAMES.into())?;
         count("frames_expected", (*frames_expected).into(), 1, MOST_FRAMES.into())?;
+        known("calibration_se", *calibration_se, MOST_CI_VEH_KM)?;
+        known("counting_se", *counting_se, MOST_CI_VEH_KM)?;
+        if let Some([low, high]) = *density_ci90 {
+            number("density_ci90[0]", low, 0.0, MOST_CI_VEH_KM)?;
+            number("density_ci90[1]", high, low, MOST_CI_VEH_KM)?;
+        }
         let Some(cells) = cells else { return Ok(()) };
         cells.check(*length_m).map_err(|wrong| wrong.inside("cells"))
     }

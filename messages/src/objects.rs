@@ -216,7 +216,8 @@ mod tests {
         let capacity = if text.len() < 1000 { 7 } else { 1 << 16 };
         let mut objects = Objects::of(io::BufReader::with_capacity(capacity, text.as_bytes()));
         let mut all = Vec::new();
-        while let Some(Found { line, object }) = objects.next_object().expect("memory is readable") {
+        while let Some(Found { line, object }) = objects.next_object().expect("memory is readable")
+        {
             all.push((line, object.map(|bytes| String::from_utf8(bytes).expect("UTF-8"))));
         }
         all

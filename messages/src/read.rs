@@ -76,12 +76,14 @@ mod tests {
             \"by_class\":{{\"vehicle\":0.0,\"car\":1.0,\"van\":2.0,\"bus\":3.0,\"truck\":4.0,\
             \"motorcycle\":5.0}},\"space_occupancy\":0.1234,\"length_m\":123.7,\
             \"frames_used\":57,\"frames_expected\":60,\"status\":\"oK\",\
-            \"cells\":{{\"length_m\":61.85,\"density_veh_km\":[32.5,16.0]}}}},\
+            \"cells\":{{\"length_m\":61.85,\"density_veh_km\":[32.5,16.0]}},\"density_ci90\":[16.0,32.5],\
+            \"calibration_se\":0.5,\"counting_se\":3.5}},\
             {{\"lane\":2,\"direction\":\"unknown\",\"density_veh_km\":null,\"density_se\":null,\
             \"vehicles_mean\":null,\"by_class\":null,\"space_occupancy\":null,\
             \"length_m\":123.7,\"frames_used\":3,\"frames_expected\":60,\
             \"status\":\"poorContrast\",\"cells\":{{\"length_m\":61.85,\
-            \"density_veh_km\":null}}}}],\
+            \"density_veh_km\":null}},\"density_ci90\":null,\"calibration_se\":null,\
+            \"counting_se\":null}}],\
             \"calibration\":{{\"id\":\"c\",\"sha256\":\"{sha256}\",\"rel_err\":0.02}},\
             \"model\":{{\"name\":\"m\",\"sha256\":\"{sha256}\"}}}}"
         )

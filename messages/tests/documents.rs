@@ -55,6 +55,7 @@ fn message() -> Value {
             "space_occupancy": 0.125, "length_m": 124.0, "frames_used": 57,
             "frames_expected": 60, "status": "oK",
             "cells": {"length_m": 62.0, "density_veh_km": [32.5, 16.0]},
+            "density_ci90": [16.0, 32.5], "calibration_se": 0.5, "counting_se": 3.5,
         }],
         "calibration": {"id": "c", "sha256": sha256, "rel_err": 0.02},
         "model": {"name": "m", "sha256": sha256},

@@ -2,12 +2,12 @@
 //!
 //! Owns what each key of the configuration becomes. No other file gives a stage its settings.
 
+pub use super::capture::Recorded;
 use super::capture::{
-    CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Recorded, Source, SourceSettings,
-    utc_offset,
+    CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Source, SourceSettings, utc_offset,
 };
 use super::config::{Config, SourceKind};
-use super::detect::Detector;
+use super::detect::{Detector, LoadOptions};
 use super::exit::Failure;
 use super::frame::Frame;
 use super::line::{Line, LineSettings};
@@ -88,9 +88,9 @@ pub fn utc_offset_s(text: &str) -> Option<i32> {
 pub fn open_detector(
     frames: &Path,
     model: &Path,
-    score: Option<f32>,
+    options: &LoadOptions,
 ) -> Result<(Recorded, Detector), Failure> {
-    Ok((Recorded::open(frames, None)?, Detector::load(model, score)?))
+    Ok((Recorded::open(frames, None)?, Detector::load_as(model, options)?))
 }
 
 /// A recording that is played for ever in front of a line, for `bench`.
@@ -151,6 +151,8 @@ pub fn open_line(config: &Config) -> Result<Line, Failure> {
         judging: config.camera.watch.into(),
         model: config.model.file.clone(),
         score: config.model.score,
+        input: config.model.input,
+        site: None,
         views: config.model.views,
     };
     let mut line = Line::open(&settings)?;

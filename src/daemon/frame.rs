@@ -2,7 +2,9 @@
 //!
 //! Owns their shape and nothing else; stages know these types and never each other.
 
-use crate::units::{UtcMs, VehicleClass};
+use crate::units::UtcMs;
+
+pub use crate::evidence::{Detection, PixelBox};
 
 /// One picture as the camera gave it. Its buffers are kept from frame to frame.
 #[derive(Debug, Default)]
@@ -78,54 +80,4 @@ impl Region {
         let height = picture.height.saturating_sub(self.y).min(self.height);
         if width > 0 && height > 0 { Self { width, height, ..self } } else { Self::whole(picture) }
     }
-}
-
-/// An axis-aligned box in the picture, px.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PixelBox {
-    /// Left edge.
-    pub x0: f32,
-    /// Upper edge.
-    pub y0: f32,
-    /// Right edge.
-    pub x1: f32,
-    /// Lower edge.
-    pub y1: f32,
-}
-
-impl PixelBox {
-    /// Its area, px².
-    pub fn area(&self) -> f32 {
-        (self.x1 - self.x0).max(0.0) * (self.y1 - self.y0).max(0.0)
-    }
-
-    /// Intersection over union with `other`, 0 to 1.
-    pub fn iou(&self, other: &Self) -> f32 {
-        let intersection = self.intersection(other);
-        let union = self.area() + other.area() - intersection;
-        if union > 0.0 { intersection / union } else { 0.0 }
-    }
-
-    /// Intersection over the smaller of this and `other`, 0 to 1: 1 where one lies in the other.
-    pub fn ios(&self, other: &Self) -> f32 {
-        let smaller = self.area().min(other.area());
-        if smaller > 0.0 { self.intersection(other) / smaller } else { 0.0 }
-    }
-
-    fn intersection(&self, other: &Self) -> f32 {
-        let width = self.x1.min(other.x1) - self.x0.max(other.x0);
-        let height = self.y1.min(other.y1) - self.y0.max(other.y0);
-        width.max(0.0) * height.max(0.0)
-    }
-}
-
-/// One vehicle found in a picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Detection {
-    /// Where, in pixels of the picture.
-    pub bounds: PixelBox,
-    /// How sure the model is, 0 to 1.
-    pub score: f32,
-    /// What kind of vehicle.
-    pub class: VehicleClass,
 }

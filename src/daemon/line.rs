@@ -5,13 +5,17 @@
 //! the core's [`crate::sensor`].
 
 use super::clock;
-use super::config::Views;
-use super::detect::regions::Parts;
-use super::detect::{Detector, Share};
+use super::config::{NetInput, Views};
+use super::detect::regions::{Cars, Parts};
+use super::detect::{Detector, LoadOptions, Share};
 use super::exit::Failure;
-use super::frame::{Detection, Frame};
+use super::frame::{Detection, Frame, PixelBox};
 use super::presets::{Preset, Presets, TableSettings, WindowSettings};
 use super::scene::{Scene, View};
+use super::vehicles::{self, Vehicles};
+use crate::density::{Errors, SiteCorrection};
+use crate::evidence::CarSize;
+use crate::picture::Light;
 use crate::sensor::{self, Outcome};
 use crate::wire::ModelRef;
 use std::path::{Path, PathBuf};
@@ -48,8 +52,12 @@ pub struct LineSettings {
     pub judging: Judging,
     /// Sidecar or model.
     pub model: PathBuf,
-    /// Overrides the model's least score.
+    /// Overrides the model's least score, and the site's.
     pub score: Option<f32>,
+    /// Columns and rows of the net's input.
+    pub input: NetInput,
+    /// What an audit of the site has found.
+    pub site: Option<SiteCorrection>,
     /// Which parts of a picture are searched.
     pub views: Views,
 }
@@ -62,6 +70,8 @@ impl LineSettings {
             judging: Judging::Heeded,
             model: model.to_owned(),
             score: None,
+            input: NetInput::default(),
+            site: None,
             views: Views::default(),
         }
     }
@@ -94,6 +104,11 @@ pub struct Line {
     presets: Presets,
     /// Where each preset's pictures are searched.
     parts: Vec<Parts>,
+    vehicles: Vehicles,
+    /// How large cars are in each preset's pictures.
+    sizes: Vec<Option<CarSize>>,
+    /// What is known of errors of counting.
+    errors: Errors,
     found: Vec<Detection>,
 }
 
@@ -107,14 +122,42 @@ impl Line {
         let references = presets.references()?;
         let judging = settings.judging;
         let scene = (judging != Judging::Off).then(|| Scene::new(references));
-        let detector = Detector::load(&settings.model, settings.score)?;
+        let cars = |preset: &Preset| Cars::along(preset.table(), |point| preset.place(point));
+        let cars: Vec<Cars> = presets.iter().map(cars).collect();
+        let model = Detector::described(&settings.model)?;
+        let input_px = match settings.input {
+            NetInput::Px(size) => size,
+            // Of several presets the one with the smallest cars decides.
+            NetInput::Auto => {
+                let own = [model.input.width_px, model.input.height_px];
+                let in_input = |(preset, cars): (&Preset, &Cars)| {
+                    let size = preset.table().image_size;
+                    let size = (usize::from(size.width), usize::from(size.height));
+                    cars.median_px.map(|px| px * vehicles::scale(own, size))
+                };
+                let smallest = presets.iter().zip(&cars).filter_map(in_input);
+                model.input_for(smallest.min_by(f32::total_cmp))
+            }
+        };
+        let options = LoadOptions {
+            score: settings.score,
+            input_px: Some(input_px),
+            candidates: true,
+            ..LoadOptions::default()
+        };
+        let detector = Detector::load_as(&settings.model, &options)?;
+        let least = settings.score.or(settings.site.as_ref().and_then(|site| site.score));
+        let vehicles = Vehicles::new(model.evidence, least, input_px);
+        let errors = Errors { counting: model.counting, site: settings.site.clone() };
+        let sizes = cars.iter().map(|cars| cars.size).collect();
         let input = detector.input_size();
         let parts = |preset: &Preset| match settings.views {
             Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),
             Views::Whole => Parts::WHOLE,
         };
         let parts = presets.iter().map(parts).collect();
-        Ok(Self { detector, scene, judging, presets, parts, found: Vec::new() })
+        let found = Vec::new();
+        Ok(Self { detector, scene, judging, presets, parts, vehicles, sizes, errors, found })
     }
 
     /// Windows over the lanes of its tables, for a camera with this time between frames.
@@ -126,7 +169,7 @@ impl Line {
         settings: &WindowSettings,
         interval: Duration,
     ) -> Result<Vec<sensor::Preset>, Failure> {
-        self.presets.windows(settings, interval)
+        self.presets.windows(settings, interval, &self.errors)
     }
 
     /// Searches each picture once, and not its far part again, where the net is too slow for
@@ -188,9 +231,22 @@ impl Line {
             self.detector.read(picture, pass, &output, &mut self.found)?;
             observe(Stage::Read);
         }
-        let counts = self.presets.count(preset, &self.found, size, shift)?;
+        let light = self.choose(preset, size);
+        let counts = self.presets.count(preset, &self.found, size, shift, light)?;
         observe(Stage::Count);
         Ok(Outcome::Measured { preset, counts })
+    }
+
+    /// Leaves the vehicles in what was found, and shows the scene where none stands. Returns the
+    /// light.
+    fn choose(&mut self, preset: usize, size: (usize, usize)) -> Light {
+        let (scene, car) = (&self.scene, self.sizes[preset]);
+        let likeness =
+            |bounds: &PixelBox| scene.as_ref().map_or(0.0, |scene| scene.likeness(bounds));
+        self.vehicles.choose(&mut self.found, size, car, likeness);
+        let Some(scene) = &mut self.scene else { return Light::Day };
+        scene.learn(preset, &self.found);
+        scene.light()
     }
 
     /// What judges the pictures, unless that is switched off.

@@ -216,6 +216,7 @@ mod tests {
             frames_expected: 60,
             status: SampleZoneStatus::Ok,
             cells: None,
+            error: None,
         };
         WindowReport {
             from: UtcMs(1_767_600_000_000),

@@ -38,6 +38,7 @@ pub mod serial;
 pub mod spool;
 mod station;
 pub mod trust;
+pub mod vehicles;
 
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use std::process::ExitCode;

@@ -6,8 +6,9 @@
 use super::exit::Failure;
 use super::frame::Detection;
 use super::locate::{Anchor, LocateError, Located, Locator};
-use crate::density::{FrameCounts, Start};
+use crate::density::{AggregateError, Errors, FrameCounts, Start};
 use crate::lane::{Description, Place};
+use crate::picture::Light;
 use crate::scene::Reference;
 use crate::sensor;
 use crate::units::ImagePoint;
@@ -108,10 +109,15 @@ impl Presets {
         &self,
         settings: &WindowSettings,
         interval: Duration,
+        errors: &Errors,
     ) -> Result<Vec<sensor::Preset>, Failure> {
         let WindowSettings { lengths, min_completeness, start } = settings;
         let of = |preset: &Preset| {
-            sensor::Preset::new(preset.table(), lengths, interval, *min_completeness, *start)
+            let table = preset.table();
+            let mut windows =
+                sensor::Preset::new(table, lengths, interval, *min_completeness, *start)?;
+            windows.set_errors(table.length_rel_err, errors.clone());
+            Ok::<_, AggregateError>(windows)
         };
         Ok(self.presets.iter().map(of).collect::<Result<_, _>>()?)
     }
@@ -155,12 +161,14 @@ impl Presets {
         detections: &[Detection],
         (width, height): (usize, usize),
         shift: ImagePoint,
+        light: Light,
     ) -> Result<&FrameCounts, LocateError> {
         let size = self.presets[preset].locator.check_size(width, height)?;
         self.active = preset;
         let Preset { locator, located, none, counts } = &mut self.presets[preset];
         locator.locate(detections, size, shift, located);
         counts.clone_from(none);
+        counts.set_light(light);
         for vehicle in located {
             counts.add(vehicle.place.lane, vehicle.place.s_m, vehicle.class);
         }

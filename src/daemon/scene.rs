@@ -4,10 +4,10 @@
 //! Owns the buffers and the order of the questions; the answers are the core's
 //! ([`crate::picture`], [`crate::scene`]). After the first picture nothing is allocated.
 
-use super::frame::Picture;
+use super::frame::{Detection, Picture, PixelBox};
 use crate::alarm::Alarm;
-use crate::picture::{Before, Look};
-use crate::scene::{Aim, Cell, Eye, Grid, Guard, Judgement, Reference};
+use crate::picture::{Before, Light, Look};
+use crate::scene::{Aim, Cell, EmptyRoad, Eye, Grid, Guard, Judgement, MeanCell, Reference};
 use crate::units::{ImagePoint, UtcMs};
 use std::time::Duration;
 
@@ -67,6 +67,11 @@ struct Buffers {
     size: (usize, usize),
     eye: Eye<Vec<u8>, Vec<Cell>>,
     before: Before<Vec<u8>>,
+    /// What the road of a preset looks like without vehicles.
+    road: EmptyRoad<Vec<MeanCell>>,
+    road_of: Option<usize>,
+    /// Vehicles that stand on it, in cells of the grid.
+    standing: Vec<PixelBox>,
 }
 
 impl Buffers {
@@ -78,9 +83,31 @@ impl Buffers {
             size: (width, height),
             eye: eye.expect("buffers of the length that the grid asks for"),
             before: Before::new(vec![0; grid.cells()]),
+            road: empty_road(grid),
+            road_of: None,
+            standing: Vec::with_capacity(MAX_STANDING),
         }
     }
 }
+
+fn empty_road(grid: Grid) -> EmptyRoad<Vec<MeanCell>> {
+    let len = EmptyRoad::<Vec<MeanCell>>::buffer_len(grid);
+    let road = EmptyRoad::new(grid, vec![[0; 2]; len]);
+    road.expect("a buffer of the length that the grid asks for")
+}
+
+/// A picture's box in cells of the grid.
+fn in_cells(bounds: &PixelBox, grid: Grid) -> PixelBox {
+    let cell = grid.cell_px();
+    let PixelBox { x0, y0, x1, y1 } = *bounds;
+    PixelBox { x0: x0 / cell, y0: y0 / cell, x1: x1 / cell, y1: y1 / cell }
+}
+
+/// Vehicles of a picture under which the road is not learned, at most; no camera shows more.
+const MAX_STANDING: usize = 256;
+/// Probability from which a vehicle covers the road. A mark that is taken for one now and then is
+/// less sure, and is learned.
+const COVERS: f32 = 0.7;
 
 /// Judges pictures.
 #[derive(Debug)]
@@ -126,6 +153,7 @@ impl Scene {
     fn judge_with(&mut self, buffers: &mut Buffers, picture: &Picture, time: UtcMs) -> View {
         let Buffers { eye, before, .. } = buffers;
         eye.look(&picture.rgb);
+        let now = self.since_start(time);
         let grid = eye.grid();
         let look = Look::at(eye.luma(), grid.width);
         self.latest = Some(look);
@@ -139,7 +167,7 @@ impl Scene {
         if !self.is_checked(grid) {
             return View::UNJUDGED;
         }
-        let (was, now) = (self.guard.aim(), self.since_start(time));
+        let was = self.guard.aim();
         let Judgement { aim, shift } = self.guard.judge(&self.references, eye, now);
         if was != aim {
             say(was, aim);
@@ -152,6 +180,52 @@ impl Scene {
             (Aim::Moved, _) => View::Withheld(Alarm::CameraMoved),
             _ => View::PassedOver,
         }
+    }
+
+    /// The light of the latest picture.
+    pub fn light(&self) -> Light {
+        self.latest.map_or(Light::Day, |look| Light::of_mean(look.mean))
+    }
+
+    /// How much a box of the latest picture looks like the empty road, 0 to 1.
+    pub fn likeness(&self, bounds: &PixelBox) -> f32 {
+        let Some(buffers) = &self.buffers else { return 0.0 };
+        let grid = buffers.eye.grid();
+        let bounds = in_cells(bounds, grid);
+        buffers.road.likeness(&buffers.eye.fine(), self.cells(grid), self.light(), &bounds)
+    }
+
+    /// Shows the road of `preset` in the latest picture, in which these vehicles stand.
+    pub fn learn(&mut self, preset: usize, vehicles: &[Detection]) {
+        let Some(mut buffers) = self.buffers.take() else { return };
+        let grid = buffers.eye.grid();
+        if buffers.road_of != Some(preset) {
+            if buffers.road_of.is_some() {
+                buffers.road = empty_road(grid);
+            }
+            buffers.road_of = Some(preset);
+            if let Some(reference) = self.references.get(preset) {
+                buffers.road.begin_with(reference);
+            }
+        }
+        let sure = vehicles.iter().filter(|vehicle| vehicle.score >= COVERS).take(MAX_STANDING);
+        buffers.standing.clear();
+        buffers.standing.extend(sure.map(|vehicle| in_cells(&vehicle.bounds, grid)));
+        let (shift, light, now) = (self.cells(grid), self.light(), self.clock);
+        buffers.road.learn(&buffers.eye.fine(), shift, light, now, &buffers.standing);
+        self.buffers = Some(buffers);
+    }
+
+    /// Time since the road was last learned in the light of the latest picture; `None` before.
+    pub fn road_age(&self) -> Option<Duration> {
+        let road = &self.buffers.as_ref()?.road;
+        road.age(self.light(), self.clock)
+    }
+
+    /// The latest picture's shift in cells.
+    fn cells(&self, grid: Grid) -> (f32, f32) {
+        let px = grid.cell_px();
+        self.shift.map_or((0.0, 0.0), |shift| (shift.u / px, shift.v / px))
     }
 
     /// What the camera's aim is known to be.

@@ -2,6 +2,7 @@
 
 use super::cells::{Cells, Division, MAX_LANE_CELLS};
 use crate::lane::Lane;
+use crate::picture::Light;
 use crate::units::{LaneId, MAX_LANES, VehicleClass};
 
 /// What one frame shows in one lane.
@@ -19,17 +20,27 @@ pub(super) struct LaneCount {
 pub struct FrameCounts {
     divisions: [Division; MAX_LANES],
     lanes: [LaneCount; MAX_LANES],
+    light: Light,
 }
 
 impl FrameCounts {
     /// No vehicle yet, in these lanes, in cells of about `cell_m`.
     pub fn new(lanes: &[Lane], cell_m: f32) -> Self {
-        Self { divisions: Division::of_each(lanes, cell_m), lanes: Default::default() }
+        Self::of(Division::of_each(lanes, cell_m))
     }
 
     /// No vehicle yet, in lanes that are divided like this.
     pub(super) fn of(divisions: [Division; MAX_LANES]) -> Self {
-        Self { divisions, lanes: Default::default() }
+        Self { divisions, lanes: Default::default(), light: Light::default() }
+    }
+
+    /// The frame was taken in this light.
+    pub fn set_light(&mut self, light: Light) {
+        self.light = light;
+    }
+
+    pub(super) const fn light(&self) -> Light {
+        self.light
     }
 
     pub(super) const fn lanes(&self) -> &[LaneCount; MAX_LANES] {
@@ -93,11 +104,18 @@ impl Series {
         }
     }
 
-    /// The density of each cell, where that of the lane is known.
-    pub(super) fn cells(&self, division: Division, known: bool) -> Cells {
-        let density = |&sum: &u32| sum as f32 / self.n as f32 / division.cell_m() * 1000.0;
-        let by_cell = self.by_cell.iter().take(division.count());
-        let density_veh_km = known.then(|| by_cell.map(density).collect());
+    /// Mean vehicles per frame; `None` without a frame.
+    pub(super) fn mean(&self) -> Option<f32> {
+        (self.n > 0).then(|| self.sum / self.n as f32)
+    }
+
+    /// The density of each cell, its counts times `factor`; `None` where that of the lane is not
+    /// known.
+    pub(super) fn cells(&self, division: Division, factor: Option<f32>) -> Cells {
+        let per_km = 1000.0 / (self.n as f32 * division.cell_m());
+        let by_cell = || self.by_cell.iter().take(division.count());
+        let density_veh_km =
+            factor.map(|factor| by_cell().map(|&sum| sum as f32 * per_km * factor).collect());
         Cells { length_m: division.cell_m(), density_veh_km }
     }
 

@@ -5,12 +5,14 @@
 //! rules by which the camera counts as moved. Reads no clock, allocates nothing. Both halves
 //! use it: `mvcalib table` makes the reference, the sensor compares each picture with it.
 
+mod empty;
 mod field;
 mod guard;
 mod reference;
 mod search;
 mod watch;
 
+pub use empty::{EmptyRoad, LEARN_SPACING, MEMORY, MeanCell};
 pub use field::{Cell, Field, Grid, MAX_SIDE};
 pub use guard::Guard;
 pub use reference::{

@@ -8,7 +8,7 @@
 use super::Outcome;
 use super::takeover::common_period;
 use crate::density::{
-    AggregateError, Aggregator, Closed, FrameCounts, MAX_WINDOWS, SampleZoneStatus, Start,
+    AggregateError, Aggregator, Closed, Errors, FrameCounts, MAX_WINDOWS, SampleZoneStatus, Start,
     WindowReport,
 };
 use crate::lane::Description;
@@ -42,6 +42,11 @@ impl<const W: usize> Preset<W> {
             Aggregator::new(lanes, cell_m, lengths, interval, min_completeness, start)?;
         let period = common_period(lengths);
         Ok(Self { calibration: CalibrationRef::of(table), aggregator, period })
+    }
+
+    /// From now on reports have an interval from these errors ([`Aggregator::set_errors`]).
+    pub fn set_errors(&mut self, length_rel_err: Option<f32>, errors: Errors) {
+        self.aggregator.set_errors(length_rel_err, errors);
     }
 
     /// The table that it measures with.

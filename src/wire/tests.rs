@@ -1,7 +1,7 @@
 //! Tests of the compact message: golden bytes, both formats, damage.
 
 use super::*;
-use crate::density::{LaneReport, MAX_LANE_CELLS, SampleZoneStatus};
+use crate::density::{DensityError, LaneReport, MAX_LANE_CELLS, SampleZoneStatus};
 use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass};
 
 pub(crate) fn lane(number: u8, density: Option<f32>) -> LaneReport {
@@ -20,6 +20,11 @@ pub(crate) fn lane(number: u8, density: Option<f32>) -> LaneReport {
         cells: Some(Cells {
             length_m: 62.5,
             density_veh_km: density.map(|k| [k, k / 2.0].into_iter().collect()),
+        }),
+        error: density.map(|k| DensityError {
+            calibration: k / 16.0,
+            counting: k / 8.0,
+            ci90: [k / 2.0, k * 2.0],
         }),
     }
 }
@@ -66,17 +71,27 @@ fn golden_bytes() {
     let mut buffer = [0; MAX_MESSAGE];
     let bytes = encode(&message(&[lane(1, None)]), &mut buffer).expect("fits");
     let (body, trailer) = bytes.split_at(bytes.len() - 4);
-    // Cells of 62.5 m, whose densities are not known.
-    assert_eq!(body, [&[2][..], &golden_body(), &[1, 0, 0, 0x7a, 0x42, 0]].concat());
+    // Cells of 62.5 m, whose densities are not known; no error.
+    assert_eq!(body, [&[3][..], &golden_body(), &[1, 0, 0, 0x7a, 0x42, 0], &[0]].concat());
     assert_eq!(trailer, CRC.checksum(body).to_le_bytes());
     let known = message(&[lane(1, Some(16.0))]);
     let bytes = encode(&known, &mut buffer).expect("fits");
-    let cells = &bytes[bytes.len() - 4 - 15..bytes.len() - 4];
+    let (cells, errors) = bytes[bytes.len() - 4 - 17 - 15..bytes.len() - 4].split_at(15);
     assert_eq!(cells, [1, 0, 0, 0x7a, 0x42, 1, 2, 0, 0, 0x80, 0x41, 0, 0, 0, 0x41]);
+    let (one, two, eight, thirty_two) =
+        ([0, 0, 0x80, 0x3f], [0, 0, 0, 0x40], [0, 0, 0, 0x41], [0, 0, 0, 0x42]);
+    assert_eq!(errors, [&[1][..], &one, &two, &eight, &thirty_two].concat());
     let none = &mut known.clone();
-    none.report.lanes[0].cells = None;
+    (none.report.lanes[0].cells, none.report.lanes[0].error) = (None, None);
     let bytes = encode(none, &mut buffer).expect("fits");
-    assert_eq!(bytes[bytes.len() - 5], 0);
+    assert_eq!(bytes[bytes.len() - 6..bytes.len() - 4], [0, 0]);
+}
+
+#[test]
+fn format_2_is_read_without_errors() {
+    let mut golden = [&[2][..], &golden_body(), &[1, 0, 0, 0x7a, 0x42, 0]].concat();
+    golden.extend_from_slice(&CRC.checksum(&golden).to_le_bytes());
+    assert_eq!(decode(&golden), Ok(message(&[lane(1, None)])));
 }
 
 /// A message as it was written in format 1.
@@ -113,7 +128,7 @@ fn the_largest_message_fits_and_returns() {
     }
     let mut buffer = [0; MAX_MESSAGE];
     let bytes = encode(&sent, &mut buffer).expect("MAX_MESSAGE holds every message");
-    assert!(bytes.len() <= 1860, "{} bytes", bytes.len());
+    assert!(bytes.len() <= 1996, "{} bytes", bytes.len());
     assert_eq!(decode(bytes), Ok(sent));
 }
 
@@ -129,7 +144,7 @@ fn damage_is_refused() {
         bad[bit / 8] ^= 1 << (bit % 8);
         assert!(decode(&bad).is_err(), "bit {bit}");
     }
-    assert_eq!(decode(&[3, 0, 0, 0, 0, 0]), Err(WireError::Version { found: 3 }));
+    assert_eq!(decode(&[4, 0, 0, 0, 0, 0]), Err(WireError::Version { found: 4 }));
     let body = &good[..good.len() - 4];
     for wrong in [&body[..body.len() - 1], &[body, &[0]].concat(), &[&[1], &body[1..]].concat()] {
         let sealed = [wrong, &CRC.checksum(wrong).to_le_bytes()].concat();

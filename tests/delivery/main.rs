@@ -23,7 +23,7 @@ use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::loopback::Subscriber;
 use verge::daemon::publish::{Format, Identity, MqttSettings};
 use verge::daemon::spool::Spool;
-use verge::density::{Cells, LaneReport, SampleZoneStatus, WindowReport};
+use verge::density::{Cells, DensityError, LaneReport, SampleZoneStatus, WindowReport};
 use verge::lane::Name;
 use verge::sensor::ClosedWindow;
 use verge::units::{Direction, LaneId, UtcMs, VehicleClass};
@@ -60,6 +60,7 @@ fn window(n: i64) -> WindowReport {
             length_m: 12.5,
             density_veh_km: Some([21.5; 10].into_iter().collect()),
         }),
+        error: Some(DensityError { calibration: 0.5, counting: 1.5, ci90: [14.5, 28.5] }),
     };
     let (from, to) = (UtcMs((n - 1) * 60_000), UtcMs(n * 60_000));
     WindowReport { from, to, lanes: (1..=4).map(lane).collect() }

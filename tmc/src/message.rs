@@ -93,6 +93,7 @@ pub(crate) mod tests {
                 length_m: if densities.is_some() { 50.0 } else { 25.0 },
                 density_veh_km: densities.map(|all| all.iter().copied().collect()),
             }),
+            error: None,
         };
         let name = |text: &str| text.try_into().unwrap();
         let mut message = wire::DensityMessage {

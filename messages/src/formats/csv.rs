@@ -8,7 +8,8 @@ use std::borrow::Cow;
 pub const HEADER: &str = "site,window_s,seq,from,to,clock_synced,lane,direction,density_veh_km,\
 density_se_veh_km,vehicles_mean,vehicle,car,van,bus,truck,motorcycle,space_occupancy,length_m,\
 frames_used,frames_expected,status,calibration,calibration_rel_err,model,cell_length_m,\
-cells_density_veh_km";
+cells_density_veh_km,density_low90_veh_km,density_high90_veh_km,calibration_se_veh_km,\
+counting_se_veh_km";
 
 /// The columns of the classes.
 const CLASSES: [&str; 6] = ["vehicle", "car", "van", "bus", "truck", "motorcycle"];
@@ -49,6 +50,10 @@ fn row(message: &Density, lane: &Lane) -> String {
         quoted(&message.model.name).into_owned(),
         number(lane.cells.as_ref().map(|cells| cells.length_m)),
         cells(lane),
+        number(lane.density_ci90.map(|[low, _]| low)),
+        number(lane.density_ci90.map(|[_, high]| high)),
+        number(lane.calibration_se),
+        number(lane.counting_se),
     ]);
     fields.join(",")
 }
@@ -84,9 +89,9 @@ mod tests {
     fn golden_rows() {
         let expected = "\"k109f \"\"<&>\"\", east\",60,7,2026-01-05T08:00:00.000Z,\
             2026-01-05T08:01:00.000Z,true,1,away,24.25,3.5,3,0,1,2,3,4,5,0.1234,123.7,57,60,oK,\
-            c,0.02,m,61.85,32.5;16\r\n\
+            c,0.02,m,61.85,32.5;16,16,32.5,0.5,3.5\r\n\
             \"k109f \"\"<&>\"\", east\",60,7,2026-01-05T08:00:00.000Z,\
-            2026-01-05T08:01:00.000Z,true,2,unknown,,,,,,,,,,,123.7,3,60,poorContrast,c,0.02,m,61.85,\r";
+            2026-01-05T08:01:00.000Z,true,2,unknown,,,,,,,,,,,123.7,3,60,poorContrast,c,0.02,m,61.85,,,,,\r";
         assert_eq!(rows(&message()), expected);
     }
 

@@ -117,6 +117,9 @@ mod tests {
             frames_expected: 60,
             status: Status::Ok,
             cells: Some(Cells { length_m: 61.85, density_veh_km: Some(vec![32.5, 16.0]) }),
+            density_ci90: Some([16.0, 32.5]),
+            calibration_se: Some(0.5),
+            counting_se: Some(3.5),
         };
         let missing = Lane {
             lane: 2,
@@ -129,6 +132,9 @@ mod tests {
             frames_used: 3,
             status: Status::PoorContrast,
             cells: Some(Cells { length_m: 61.85, density_veh_km: None }),
+            density_ci90: None,
+            calibration_se: None,
+            counting_se: None,
             ..measured.clone()
         };
         Density {

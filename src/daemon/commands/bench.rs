@@ -60,6 +60,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     };
     let settings = LineSettings {
         score: args.model.score,
+        input: args.model.input,
         views: args.views,
         // A recording that is played again shows what it showed.
         judging: Judging::Ignored,

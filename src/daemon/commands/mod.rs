@@ -17,7 +17,7 @@ pub mod replay;
 pub mod run;
 mod text;
 
-use super::config::DEFAULT_MODEL;
+use super::config::{DEFAULT_MODEL, NetInput};
 use std::path::PathBuf;
 
 /// Which model to use.
@@ -29,4 +29,7 @@ pub struct ModelArgs {
     /// Least score that counts, 0 to 1 [default: the sidecar's]
     #[arg(long, value_name = "SCORE")]
     score: Option<f32>,
+    /// The net's input: auto, as the size of the cars asks for, or columns and rows such as 800x608
+    #[arg(long, value_name = "auto|WxH", default_value = "auto")]
+    input: NetInput,
 }

@@ -57,6 +57,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         judging: (!args.unwatched).into(),
         model: args.model.model.clone(),
         score: args.model.score,
+        input: args.model.input,
+        site: None,
         views: args.views,
     };
     let windows = WindowSettings::recorded(Duration::from_secs(args.window));

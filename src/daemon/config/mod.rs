@@ -8,7 +8,8 @@ mod secrets;
 mod sections;
 
 pub use sections::{
-    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, Serial, SourceKind, Spool, Views, Windows,
+    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Views,
+    Windows,
 };
 
 use crate::daemon::address::{Address, AddressError, veiled};

@@ -57,11 +57,18 @@ pub struct Model {
     pub score: Option<f32>,
     /// Which parts of a picture are searched: `auto` or `whole`.
     pub views: Views,
+    /// Columns and rows of the net's input: `auto` or such as `800x608`.
+    pub input: NetInput,
 }
 
 impl Default for Model {
     fn default() -> Self {
-        Self { file: PathBuf::from(DEFAULT_MODEL), score: None, views: Views::default() }
+        Self {
+            file: PathBuf::from(DEFAULT_MODEL),
+            score: None,
+            views: Views::default(),
+            input: NetInput::Auto,
+        }
     }
 }
 
@@ -74,6 +81,36 @@ pub enum Views {
     /// The whole picture, once.
     #[default]
     Whole,
+}
+
+/// How large the net's input is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NetInput {
+    /// As large as the cars along the lanes ask for, of the model's steps.
+    #[default]
+    Auto,
+    /// Columns and rows, px; multiples of 32.
+    Px([usize; 2]),
+}
+
+impl std::str::FromStr for NetInput {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let size = text.split_once('x').and_then(|(width, height)| {
+            Some(Self::Px([width.parse().ok()?, height.parse().ok()?]))
+        });
+        match text {
+            "auto" => Ok(Self::Auto),
+            _ => size.ok_or(format!("{text:?}: give auto, or columns and rows such as 800x608")),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for NetInput {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+    }
 }
 
 /// The model that is used when none is named, from the working directory.

@@ -18,7 +18,7 @@ mod sidecar;
 
 pub use engine::{Precision, Share};
 pub use inspect::{Inspection, inspect};
-pub use sidecar::{HeadKind, HeadSpec, Sidecar, SidecarError};
+pub use sidecar::{HeadKind, HeadSpec, Sidecar, SidecarError, Step};
 
 use super::frame::{Detection, Picture, Region};
 use crate::lane::Name;
@@ -28,6 +28,7 @@ use head::Head;
 use letterbox::Letterbox;
 use load::{Refused, Wanted};
 use sha2::{Digest, Sha256};
+use sidecar::Thresholds;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
@@ -105,6 +106,9 @@ pub struct LoadOptions {
     pub input_px: Option<[usize; 2]>,
     /// The arithmetic.
     pub precision: Precision,
+    /// For a model with weights of evidence: give all boxes that these can choose from, which
+    /// `score` then has no part in.
+    pub candidates: bool,
 }
 
 /// A picture that could not be searched.
@@ -164,7 +168,7 @@ impl Detector {
     /// [`ModelError`] where the files are missing, damaged, or do not fit each other, and where
     /// the net cannot take an input of the size that is asked for.
     pub fn load_as(path: &Path, options: &LoadOptions) -> Result<Self, ModelError> {
-        let LoadOptions { score, input_px, precision } = *options;
+        let LoadOptions { score, input_px, precision, candidates: all } = *options;
         let (mut sidecar, sidecar_path, path) = Sidecar::find(path)?;
         let bytes = std::fs::read(&path)
             .map_err(|source| ModelError::Read { path: path.clone(), source })?;
@@ -230,6 +234,12 @@ impl Detector {
             detector.head.set_threshold(score);
             detector.engine.look_for(&detector.head);
         }
+        if let (true, Some(evidence)) = (all, &detector.sidecar.evidence) {
+            let (score, iou) = (evidence.floor, evidence.same);
+            detector.sidecar.thresholds = Thresholds { score, iou, ios: 1.0 };
+            detector.head.set_threshold(score);
+            detector.engine.look_for(&detector.head);
+        }
         Ok(detector)
     }
 
@@ -249,6 +259,14 @@ impl Detector {
             Some(known) if as_stored => self_test::compare(&found, known).map_err(failed),
             _ => Ok(()),
         }
+    }
+
+    /// What the sidecar of a model says, without loading it.
+    ///
+    /// # Errors
+    /// [`ModelError::Sidecar`].
+    pub fn described(path: &Path) -> Result<Sidecar, ModelError> {
+        Ok(Sidecar::find(path)?.0)
     }
 
     /// The model file.

@@ -9,6 +9,7 @@
 //! road that each spans is an area in pixels times metres, whichever way the lane runs.
 
 use crate::daemon::frame::Region;
+use crate::evidence::CarSize;
 use crate::lane::{Description, Place};
 use crate::units::{ImagePoint, ImageSize, LaneId};
 use std::fmt;
@@ -104,6 +105,8 @@ struct Piece {
     length_m: f32,
     /// Width of the lane, px.
     width: f32,
+    /// Its middle, px.
+    middle: [f32; 2],
     /// What vehicles cover that stand on it: left, upper, right, lower edge, px.
     extent: [f32; 4],
 }
@@ -115,6 +118,36 @@ struct Sum {
     count: f32,
     middle: [f32; 2],
     extent: [f32; 4],
+}
+
+/// Side of a car's box (the root of its area) as a share of its lane's width, from whichever
+/// angle: the medians over pieces of lanes are 0.63 on `freeway`, 0.68 on `curve` and 0.72 on K109F.
+const SIDE_SHARE: f32 = 0.67;
+
+/// How large cars are along the lanes of a table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cars {
+    /// By place; `None` where the lanes are too short to tell.
+    pub size: Option<CarSize>,
+    /// The median over the lanes' length, px of the table's picture.
+    pub median_px: Option<f32>,
+}
+
+impl Cars {
+    /// From the table that `description` describes; `place` is its look-up.
+    pub fn along(description: &Description, place: impl Fn(ImagePoint) -> Option<Place>) -> Self {
+        let pieces = pieces(description, place);
+        let samples = pieces.iter().map(|piece| {
+            let [u, v] = piece.middle;
+            (ImagePoint { u, v }, piece.width * SIDE_SHARE)
+        });
+        let width = f32::from(description.image_size.width);
+        let size = CarSize::fit(samples.clone(), width);
+        let mut sides: Vec<f32> =
+            samples.map(|(point, side)| size.map_or(side, |size| size.at(point, width))).collect();
+        sides.sort_by(f32::total_cmp);
+        Self { size, median_px: sides.get(sides.len() / 2).copied() }
+    }
 }
 
 const NOTHING: [f32; 4] = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
@@ -170,7 +203,7 @@ fn lane_pieces(length_m: f32, sums: &[Sum]) -> Vec<Piece> {
             let sideways = BESIDE * width + ALONG_M * along_u;
             let upwards = ABOVE * width + ALONG_M * along_v;
             let extent = [x0 - sideways, y0 - upwards, x1 + sideways, y1 + BELOW * width];
-            Piece { length_m: length(i), width, extent }
+            Piece { length_m: length(i), width, middle: middle(i), extent }
         })
         .collect()
 }

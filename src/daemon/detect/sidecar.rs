@@ -2,6 +2,8 @@
 //!
 //! Owns its keys, its checks, and the list of models that verge knows without one.
 
+use crate::density::Counting;
+use crate::evidence::Evidence;
 use crate::units::VehicleClass;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -94,9 +96,30 @@ pub struct Sidecar {
     pub class: Vec<ClassColumn>,
     /// What counts as found.
     pub thresholds: Thresholds,
+    /// How boxes are weighed where the net's score alone does not decide.
+    #[serde(default)]
+    pub evidence: Option<Evidence>,
+    /// Inputs that the same weights work at, by rising width; `input` is one of them.
+    #[serde(default)]
+    pub step: Vec<Step>,
+    /// How a camera's mean count differs from the truth, over cameras that it was not trained on.
+    #[serde(default)]
+    pub counting: Option<Counting>,
     /// What it finds in the known picture that is searched when it is loaded.
     #[serde(default)]
     pub self_test: Option<SelfTest>,
+}
+
+/// An input that the weights work at.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Step {
+    /// Columns, px.
+    pub width_px: usize,
+    /// Rows, px.
+    pub height_px: usize,
+    /// Median side of a car along the lanes, px of this input, from which it is the one to take.
+    pub car_px: f32,
 }
 
 /// What a model must find in the known picture (`self_test.rs`).
@@ -296,6 +319,19 @@ fn no_share() -> f32 {
 }
 
 impl Sidecar {
+    /// The input to take for cars of `car_px` (median side, px of the sidecar's own input): the
+    /// smallest step that makes them large enough, else the largest; the own one where there is
+    /// no step or no size.
+    pub fn input_for(&self, car_px: Option<f32>) -> [usize; 2] {
+        let own = [self.input.width_px, self.input.height_px];
+        let Some(car_px) = car_px else { return own };
+        let enough = |step: &&Step| {
+            car_px * step.width_px as f32 / self.input.width_px as f32 >= step.car_px
+        };
+        let step = self.step.iter().find(enough).or(self.step.last());
+        step.map_or(own, |step| [step.width_px, step.height_px])
+    }
+
     /// The sidecar for `path`, its own path, and the model file's.
     pub(super) fn find(path: &Path) -> Result<(Self, PathBuf, PathBuf), SidecarError> {
         if path.extension().is_some_and(|extension| extension == "toml") {
@@ -361,6 +397,18 @@ impl Sidecar {
     fn check(&self) -> Result<(), (&'static str, String)> {
         let known = |ok: bool, key, reason: String| if ok { Ok(()) } else { Err((key, reason)) };
         let in_range = |value: f32| (0.0..=1.0).contains(&value);
+        known(
+            self.step.is_sorted_by_key(|step| step.width_px),
+            "step",
+            "their widths must rise".to_owned(),
+        )?;
+        if let Some(evidence) = &self.evidence {
+            known(
+                [evidence.floor, evidence.same, evidence.least].into_iter().all(in_range),
+                "evidence",
+                "floor, same and least must be 0 to 1".to_owned(),
+            )?;
+        }
         let (width, height) = (self.input.width_px, self.input.height_px);
         known(
             self.name.len() <= crate::lane::MAX_NAME,

@@ -72,7 +72,7 @@ fn the_core_sees_no_std_log_clock_or_heap() {
 /// The stages of the line: modules of the daemon that do not know each other.
 const STAGES: [&str; 6] = ["capture", "scene", "detect", "locate", "publish", "spool"];
 /// The files that join stages.
-const JOINS: [&str; 3] = ["line.rs", "outlet.rs", "assemble.rs"];
+const JOINS: [&str; 4] = ["line.rs", "tableless.rs", "outlet.rs", "assemble.rs"];
 
 /// The paths of one `use` tree, braces expanded, names given by `as` left out.
 fn expanded(tree: &str) -> Vec<String> {

@@ -2,12 +2,11 @@
 //!
 //! Owns what each key of the configuration becomes. No other file gives a stage its settings.
 
-pub use super::capture::Recorded;
 use super::capture::{
-    CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Source, SourceSettings, utc_offset,
+    CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Recorded, Source, SourceSettings,
+    utc_offset,
 };
 use super::config::{Config, SourceKind};
-use super::detect::{Detector, LoadOptions};
 use super::exit::Failure;
 use super::frame::Frame;
 use super::line::{Line, LineSettings};
@@ -84,13 +83,9 @@ pub fn utc_offset_s(text: &str) -> Option<i32> {
     utc_offset(text)
 }
 
-/// A detector with a recording in front, for `detect`.
-pub fn open_detector(
-    frames: &Path,
-    model: &Path,
-    options: &LoadOptions,
-) -> Result<(Recorded, Detector), Failure> {
-    Ok((Recorded::open(frames, None)?, Detector::load_as(model, options)?))
+/// A recording, for `detect`.
+pub fn open_frames(frames: &Path) -> Result<Recorded, Failure> {
+    Ok(Recorded::open(frames, None)?)
 }
 
 /// A recording that is played for ever in front of a line, for `bench`.

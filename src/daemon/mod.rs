@@ -7,8 +7,8 @@
 //!
 //! Each stage is a module that knows the values of [`frame`] and no other stage; aggregation is
 //! the core's [`crate::density`]. [`line`] joins the stages from a frame to density, [`outlet`]
-//! those from a window to the broker, with the [`spool`] between them, and `assemble` builds
-//! both from a configuration: these three alone name two stages. Nothing is declared here, for
+//! those from a window to the broker, with the [`spool`] between them, [`tableless`] is the line of
+//! `verge detect`, and `assemble` builds them: these four alone name two stages. Nothing is declared here, for
 //! every module of the daemon would see it.
 
 pub mod address;
@@ -37,6 +37,7 @@ pub mod scene;
 pub mod serial;
 pub mod spool;
 mod station;
+pub mod tableless;
 pub mod trust;
 pub mod vehicles;
 

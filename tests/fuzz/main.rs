@@ -429,14 +429,14 @@ fn export(message: &Density) {
     }
 }
 
-/// The message as an older verge writes it: without cells.
+/// The message as the first verge wrote it: without cells and errors.
 fn format_1(message: &DensityMessage) -> Vec<u8> {
     let mut message = message.clone();
-    message.report.lanes.iter_mut().for_each(|lane| lane.cells = None);
+    message.report.lanes.iter_mut().for_each(|lane| (lane.cells, lane.error) = (None, None));
     let mut buffer = [0; wire::MAX_MESSAGE];
     let bytes = wire::encode(&message, &mut buffer).expect("fits");
-    // Behind the body stands a zero for each lane, and the checksum.
-    let body = &bytes[1..bytes.len() - 4 - message.report.lanes.len()];
+    // Behind the body stand two zeros for each lane, and the checksum.
+    let body = &bytes[1..bytes.len() - 4 - 2 * message.report.lanes.len()];
     let mut old = [&[1], body].concat();
     old.extend_from_slice(&CRC.checksum(&old).to_le_bytes());
     assert_eq!(wire::decode(&old).as_ref(), Ok(&message));

@@ -86,10 +86,12 @@ fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> 
     let event = match second {
         // A camera may give the same picture until its next is due.
         Some(Event::Unchanged) if interval > LONGEST_WATCHED => first,
-        Some(Event::Unchanged) if station.watch_pace(interval, NEW)? => match station.too_slow() {
-            Some(advice) => return Err(Failure::Pace(advice)),
-            None => first,
-        },
+        Some(Event::Unchanged) if !is_new && station.watch_pace(interval, NEW)? => {
+            match station.too_slow() {
+                Some(advice) => return Err(Failure::Pace(advice)),
+                None => first,
+            }
+        }
         second => second,
     };
     if second == Some(Event::Measured) {

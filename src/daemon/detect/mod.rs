@@ -228,7 +228,7 @@ impl Detector {
         let close = Vec::new();
         let mut detector =
             Self { file: path, engine, sidecar, model, head, passes, candidates, close };
-        detector.self_test(input_px.is_none())?;
+        detector.self_test(input_px.is_none() && precision == Precision::AsStored)?;
         if let Some(score) = score {
             detector.sidecar.thresholds.score = score;
             detector.head.set_threshold(score);

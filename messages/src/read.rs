@@ -131,7 +131,6 @@ mod tests {
             ("\"lane\":1", "\"lane\":9", "lanes[0].lane: 9: 1 to 8"),
             ("\"lane\":2", "\"lane\":1", "lanes[1].lane: 1 is there twice"),
             ("24.25", "-24.25", "lanes[0].density_veh_km: -24.25: 0 to 10000 is right"),
-            ("24.25", "1e39", "lanes[0].density_veh_km: inf: 0 to 10000 is right"),
             ("0.1234", "1.234", "lanes[0].space_occupancy: 1.234: 0 to 1"),
             ("\"oK\"", "\"fine\"", "lanes[0].status: unknown variant `fine`"),
             ("\"car\":", "\"tram\":", "lanes[0].by_class"),
@@ -155,5 +154,10 @@ mod tests {
             let error = changed(from, to).expect_err(to).to_string();
             assert!(error.contains(expected), "{to}: {error}");
         }
+        // With serde_json's feature float_roundtrip, which some builds of the workspace turn on,
+        // the parser refuses what is no f32 before the check can.
+        let error = changed("24.25", "1e39").expect_err("beyond f32").to_string();
+        let by_check = error.contains("lanes[0].density_veh_km: inf: 0 to 10000 is right");
+        assert!(by_check || error.contains("number out of range at line 1 column"), "{error}");
     }
 }

@@ -89,6 +89,11 @@ impl<F: NorFlash> Node<F> {
         self.outputs.pins(now)
     }
 
+    /// Messages that gave an output a reading, since the start.
+    pub fn messages(&self) -> u32 {
+        self.counters.messages
+    }
+
     /// The board lost bytes of the serial line before this program read them.
     pub fn bytes_lost(&mut self) {
         self.counters.count_fault(Fault::Overrun);

@@ -50,6 +50,7 @@ mod firmware {
                 node.bytes_lost();
             }
             let now = clock.now();
+            let heard = node.messages();
             while let Some(byte) = board::next_byte() {
                 let Some(answer) = node.byte(now, byte) else { continue };
                 let (mut content, mut line) = ([0; MAX_ANSWER], [0; MAX_LINE]);
@@ -64,7 +65,9 @@ mod firmware {
                 // A register of this board cannot fail.
                 let _ = output.set(pins & (1 << bit) != 0);
             }
-            if let Some(came) = board::frame_came() {
+            if let Some(came) = board::frame_came()
+                && node.messages() != heard
+            {
                 latency_us = latency_us.max(board::microseconds().wrapping_sub(came));
             }
             node.board(now, latency_us, restarts);

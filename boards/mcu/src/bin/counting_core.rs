@@ -1,9 +1,9 @@
-//! The core of verge on a microcontroller: Cortex-M4F, detections in, messages out.
+//! The counting core on a microcontroller: Cortex-M4F, detections in, messages out.
 //!
 //! A detector beside the microcontroller writes one frame's boxes into `INBOX`, the lane
-//! table lies in external flash, messages leave through `OUTBOX`. What this file is for:
-//! it links every part of the core inside `memory.x` (the link fails when the core
-//! outgrows it) and without a single panic path (the panic handler calls a function that
+//! table lies in external flash, messages leave through `OUTBOX`. What this file is for: it links
+//! `units`, `lane`, `density`, `wire`, `health` and `hal` inside `memory.x` (the link fails when they
+//! outgrow it) and without a single panic path (the panic handler calls a function that
 //! does not exist, so that a reachable panic is a link error).
 #![cfg_attr(target_os = "none", no_std, no_main)]
 

@@ -13,7 +13,7 @@
 //!    `#[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.2")))]`: the schema then
 //!    says that it is absent in messages of versions before that one, and readers get `None`.
 //!    A number names its bounds: `schemars(range(min = 0, max = ..))`.
-//! 2. Build: the compiler names [`Lane::check`] (each type takes itself apart there), where
+//! 2. Build: the compiler names `Lane::check` (each type takes itself apart there), where
 //!    the same bounds are checked, and `src/messages.rs`, where the core's value comes in.
 //! 3. `cargo run -p verge-messages --features schema --example documents` writes the schemas.
 //!

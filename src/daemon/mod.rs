@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Each stage is a module that knows the values of [`frame`] and no other stage; aggregation is
-//! the core's [`crate::density`]. [`line`] joins the stages from a frame to density, [`outlet`]
+//! the core's [`crate::density`]. [`mod@line`] joins the stages from a frame to density, [`outlet`]
 //! those from a window to the broker, with the [`spool`] between them, [`tableless`] is the line of
 //! `verge detect`, and `assemble` builds them: these four alone name two stages. Nothing is declared here, for
 //! every module of the daemon would see it.

@@ -34,7 +34,7 @@ const MARGIN: f32 = 0.15;
 /// Length (127 for 1) below which a cell of either field is noise rather than an edge.
 const NOISE: f32 = 6.0;
 
-/// One cell of the memory: a field's, times [`FINE`].
+/// One cell of the memory: a field's, times `FINE`.
 pub type MeanCell = [i16; 2];
 
 /// What the road looks like without vehicles. `M` is the memory's buffer.

@@ -95,6 +95,8 @@ class Qemu:
 
         free = 0x20008F00
         ask("?")
+        # QEMU takes single registers only from a debugger that has read their description.
+        ask("qXfer:features:read:target.xml:0,ffb")
         assert b"OK" in ask(f"M{free:x},2:fee7")
         assert b"OK" in ask(f"Pf={free.to_bytes(4, 'little').hex()}")
         ask("D")

@@ -185,7 +185,7 @@ pub fn next_byte() -> Option<u8> {
 
 /// Whether bytes were lost since this was asked last.
 pub fn bytes_lost() -> bool {
-    // No read-modify-write across an interrupt is needed: a loss set in between is told next time.
+    // No read-modify-write across an interrupt is needed: a loss in between is reported at the next call.
     LOST.load(Ordering::Relaxed) && LOST.swap(false, Ordering::Relaxed)
 }
 

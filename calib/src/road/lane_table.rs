@@ -29,7 +29,7 @@ pub struct DrawnLane {
     pub id: LaneId,
     /// Which way its traffic moves.
     pub direction: Direction,
-    /// Whether it is said to be wider at one end.
+    /// Whether its file marks it as wider at one end.
     pub widens: bool,
     /// Its outline, px.
     pub polygon: Vec<Vector2<f64>>,

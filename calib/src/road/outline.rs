@@ -28,7 +28,7 @@ pub struct Outline {
     pub id: LaneId,
     /// Which way its traffic moves.
     pub direction: Direction,
-    /// Whether it is said to be wider at one end.
+    /// Whether its file marks it as wider at one end.
     pub widens: bool,
     /// Its outline inside the picture, px.
     pub polygon: Vec<Vector2<f64>>,

@@ -4,20 +4,23 @@
 //! `publish`'s. A window counts as accepted when it is on the disk. It leaves with its
 //! acknowledgement, or as the oldest when the spool is full, which is counted. A crash at any
 //! moment loses no accepted window; it may bring one back that the broker had taken already,
-//! so that a window may arrive twice, with the same `seq`.
+//! so that a window may arrive twice, with the same `seq`. A disk that cannot be read acknowledges
+//! nothing: what stands there is asked for again.
 //!
 //! A log of our own and no embedded database: a window is one append and one `fdatasync` of
 //! one or two pages in a file of fixed length, where a copy-on-write tree or a database with
 //! a journal writes several pages and syncs twice; nothing is ever searched; and recovery is
-//! one scan that copes with any bytes. `record` has the format, `storage` writes, `recovery` reads
-//! what an earlier run has left.
+//! one scan that copes with any bytes. `record` has the format, `storage` writes, `numbers` keeps the
+//! numbers in a second place, `recovery` reads what an earlier run has left.
 
+mod numbers;
 mod record;
 mod recovery;
 mod segment;
 mod storage;
 
 use crate::wire::DensityMessage;
+use numbers::Numbers;
 use record::{Checkpoint, Record};
 use recovery::lock;
 use segment::{SEGMENT, Segment};
@@ -57,7 +60,7 @@ pub struct SpoolCounts {
     pub in_memory: u64,
     /// Windows lost since start because the spool was full: the oldest go first.
     pub dropped: u64,
-    /// Records that could not be read.
+    /// Records that could not be read, and segments that are damaged as a whole.
     pub damaged: u64,
     /// Bytes handed to the disk since start.
     pub written_bytes: u64,
@@ -91,8 +94,18 @@ struct Entry {
     key: u64,
     window_s: u32,
     place: Place,
-    /// Given out since the latest [`Spool::rewind`].
-    given: bool,
+    given: Given,
+}
+
+/// Whether a window was given out since the latest [`Spool::rewind`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Given {
+    No,
+    Yes,
+    /// It was, and the broker would not have it now.
+    PutOff,
+    /// It could not be, for the disk gave an error.
+    Unreadable,
 }
 
 /// What a segment's bytes hold.
@@ -114,7 +127,7 @@ pub fn examine(segment: &[u8]) -> SegmentContents {
     let is_window = |(_, record): &&(usize, Record)| matches!(record, Record::Window { .. });
     let windows = scan.records.iter().filter(is_window).count();
     let notes = scan.records.len() - windows;
-    SegmentContents { windows, notes, damaged: scan.damaged, torn: scan.torn }
+    SegmentContents { windows, notes, damaged: scan.damaged, torn: scan.is_torn() }
 }
 
 /// Windows on their way to the broker.
@@ -129,7 +142,13 @@ pub struct Spool {
     /// Acknowledged, but not noted on the disk yet.
     taken: BTreeSet<u64>,
     next: Checkpoint,
+    /// The number before the first of a length of which nothing is known.
+    floor: u64,
+    /// The numbers' second place; `None` while it cannot be had.
+    numbers: Option<Numbers>,
     counts: SpoolCounts,
+    /// Whether the disk's refusal to be read was said.
+    unreadable_said: bool,
     /// Held for the life of the spool.
     lock: Option<File>,
 }
@@ -173,7 +192,10 @@ impl Spool {
             entries: VecDeque::new(),
             taken: BTreeSet::new(),
             next: Checkpoint { next_key: 1, last_seq: Vec::new() },
+            floor: 0,
+            numbers: None,
             counts: SpoolCounts::default(),
+            unreadable_said: false,
             lock: None,
         }
     }
@@ -189,9 +211,10 @@ impl Spool {
         let key = self.next.next_key;
         self.next.next_key += 1;
         let place = Place::Memory(Box::new(message.clone()));
-        self.entries.push_back(Entry { key, window_s, place, given: false });
+        self.entries.push_back(Entry { key, window_s, place, given: Given::No });
         self.save();
         self.bound_memory();
+        self.keep_numbers();
         (key, message)
     }
 
@@ -201,53 +224,92 @@ impl Spool {
             *seq += 1;
             return *seq;
         }
-        last_seq.push((window_s, 1));
-        1
+        last_seq.push((window_s, self.floor + 1));
+        self.floor + 1
     }
 
     /// Begins again at the oldest window: a new session knows nothing of an earlier one.
     pub fn rewind(&mut self) {
-        self.entries.iter_mut().for_each(|entry| entry.given = false);
+        self.entries.iter_mut().for_each(|entry| entry.given = Given::No);
     }
 
     /// Notes that a window that was just accepted is being sent: it is no arrear.
     pub fn give(&mut self, key: u64) {
         if let Some(index) = self.find(key) {
-            self.entries[index].given = true;
+            self.entries[index].given = Given::Yes;
         }
+    }
+
+    /// The broker would not have this window now: it waits until [`Self::resume`].
+    pub fn put_off(&mut self, key: u64) {
+        if let Some(index) = self.find(key) {
+            self.entries[index].given = Given::PutOff;
+        }
+    }
+
+    /// Tries again what the disk would not give, and of what was put off all, or the oldest one
+    /// of each length to see.
+    pub fn resume(&mut self, all: bool) {
+        let mut tried = BTreeSet::new();
+        for entry in &mut self.entries {
+            let again = match entry.given {
+                Given::Unreadable => true,
+                Given::PutOff => tried.insert(entry.window_s) || all,
+                Given::No | Given::Yes => false,
+            };
+            if again {
+                entry.given = Given::No;
+            }
+        }
+    }
+
+    /// Whether something waits for [`Self::resume`].
+    pub fn is_put_off(&self) -> bool {
+        self.entries.iter().any(|e| matches!(e.given, Given::PutOff | Given::Unreadable))
     }
 
     /// The oldest window that was not given out yet.
     pub fn next_arrear(&mut self) -> Option<Waiting> {
         loop {
-            let index = self.entries.iter().position(|entry| !entry.given)?;
+            let index = self.entries.iter().position(|entry| entry.given == Given::No)?;
             let Entry { key, window_s, .. } = self.entries[index];
             match self.read(&self.entries[index].place) {
-                Ok(message) => {
-                    self.entries[index].given = true;
-                    let same = |entry: &Entry| !entry.given && entry.window_s == window_s;
+                Ok(Some(message)) => {
+                    self.unreadable_said = false;
+                    self.entries[index].given = Given::Yes;
+                    let same =
+                        |entry: &Entry| entry.given == Given::No && entry.window_s == window_s;
                     let is_last = !self.entries.range(index..).any(same);
                     return Some(Waiting { key, message, is_last });
                 }
-                Err(error) => {
-                    log::error!("a window is lost: its record cannot be read: {error}");
+                Ok(None) => {
+                    log::error!("a window is lost: its record on the disk is damaged");
                     self.counts.damaged += 1;
-                    self.acknowledge(key);
+                    // Nobody has taken it, and so nothing says that one did.
+                    self.entries.remove(index);
+                    self.sweep();
+                }
+                Err(error) => {
+                    if !std::mem::replace(&mut self.unreadable_said, true) {
+                        log::error!("spool: a window cannot be read now and stays: {error}");
+                    }
+                    self.entries[index].given = Given::Unreadable;
                 }
             }
         }
     }
 
-    fn read(&self, place: &Place) -> io::Result<DensityMessage> {
+    /// The window at a place; `None` where its record is damaged.
+    fn read(&self, place: &Place) -> io::Result<Option<DensityMessage>> {
         let (segment, offset) = match place {
-            Place::Memory(message) => return Ok(message.as_ref().clone()),
+            Place::Memory(message) => return Ok(Some(message.as_ref().clone())),
             Place::Disk { segment, offset } => (segment, *offset),
         };
         let segment = self.segments.get(segment).ok_or(io::ErrorKind::NotFound)?;
-        match segment.read(offset)? {
-            Record::Window { message, .. } => Ok(*message),
-            _ => Err(io::ErrorKind::InvalidData.into()),
-        }
+        Ok(match segment.read(offset)? {
+            Some(Record::Window { message, .. }) => Some(*message),
+            _ => None,
+        })
     }
 
     /// The broker has taken the window with this key.
@@ -322,5 +384,7 @@ impl Spool {
     }
 }
 
+#[cfg(test)]
+mod damage_tests;
 #[cfg(test)]
 mod tests;

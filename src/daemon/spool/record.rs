@@ -26,6 +26,9 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 pub(super) const HEAD: [u8; 4] = *b"VSP\x01";
 /// Most keys in one record of acknowledgements.
 pub(super) const MAX_KEYS: usize = 128;
+/// Least bytes of a window's record: its key, a site of one byte, and no lanes. What was damaged
+/// held at most as many windows as would fit.
+pub(super) const MIN_WINDOW: usize = 64;
 /// Most bytes of a body: a key with the largest message.
 const MAX_BODY: usize = 8 + MAX_MESSAGE;
 /// Bytes around a body.
@@ -150,8 +153,25 @@ pub(super) struct Scan {
     pub end: usize,
     /// Stretches of damage with good records behind them.
     pub damaged: u64,
-    /// Whether bytes stand behind the end: a record that was not written to its end.
-    pub torn: bool,
+    /// How many bytes those stretches have, and where the last of them ends.
+    pub damaged_bytes: usize,
+    /// See [`Self::damaged_bytes`].
+    pub damaged_until: usize,
+    /// Bytes behind the end, up to the last that is not zero: a record that was not written to
+    /// its end, or damage.
+    pub tail: usize,
+}
+
+impl Scan {
+    /// Whether bytes stand behind the end.
+    pub(super) const fn is_torn(&self) -> bool {
+        self.tail > 0
+    }
+
+    /// Whether what stands behind the end can be no more than one append that was cut short.
+    pub(super) fn is_cut_append(&self) -> bool {
+        !self.records.is_empty() && self.tail <= MAX_RECORD + FRAME + 8 * MAX_KEYS
+    }
 }
 
 /// Reads all good records of a segment, whatever its bytes are.
@@ -166,16 +186,16 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             continue;
         }
         let rest = bytes.get(at..).unwrap_or_default();
-        if rest.iter().all(|&byte| byte == 0) {
-            return scan;
-        }
-        let next = (1..rest.len()).find(|&skip| Record::read(&rest[skip..]).is_some());
+        let Some(last) = rest.iter().rposition(|&byte| byte != 0) else { return scan };
+        let next = (1..=last).find(|&skip| Record::read(&rest[skip..]).is_some());
         let Some(skip) = next else {
-            scan.torn = true;
+            scan.tail = last + 1;
             return scan;
         };
         scan.damaged += 1;
+        scan.damaged_bytes += skip;
         at += skip;
+        scan.damaged_until = at;
     }
 }
 
@@ -245,7 +265,7 @@ pub(super) mod tests {
         let scan = scan(&bytes);
         let expected: Vec<_> = starts.iter().copied().zip(records()).collect();
         assert_eq!(scan.records, expected);
-        assert_eq!((scan.end, scan.damaged, scan.torn), (starts[4], 0, false));
+        assert_eq!((scan.end, scan.damaged, scan.tail), (starts[4], 0, 0));
     }
 
     #[test]
@@ -255,7 +275,8 @@ pub(super) mod tests {
             let mut bytes = whole[..len].to_vec();
             bytes.resize(whole.len() + 50, 0);
             let scan = scan(&bytes);
-            assert_eq!((scan.records.len(), scan.end, scan.torn), (3, starts[3], true), "{len}");
+            assert_eq!((scan.records.len(), scan.end), (3, starts[3]), "{len}");
+            assert!(scan.is_torn() && scan.is_cut_append(), "{len}");
         }
     }
 
@@ -274,7 +295,8 @@ pub(super) mod tests {
                 .map(|(start, _)| starts.iter().position(|s| s == start).expect("a start"))
                 .collect();
             assert_eq!(found, expected, "byte {at}");
-            assert_eq!((scan.damaged, scan.torn), if hit == 3 { (0, true) } else { (1, false) });
+            let told = (scan.damaged, scan.is_torn());
+            assert_eq!(told, if hit == 3 { (0, true) } else { (1, false) });
         }
     }
 }

@@ -1,5 +1,6 @@
-//! Windows onto the disk: appends, segments, and room for them.
+//! Windows onto the disk: appends, segments, room for them, and the numbers beside them.
 
+use super::numbers::Numbers;
 use super::record::{Checkpoint, MAX_KEYS, Record};
 use super::recovery::lock;
 use super::segment::{SEGMENT, Segment};
@@ -70,14 +71,41 @@ impl Spool {
         if self.lock.is_none() {
             self.lock = lock(&folder).map_err(io::Error::other)?;
         }
-        let head = Record::Checkpoint(self.checkpoint(key));
-        let made = Segment::create(&folder, key, &head)?;
+        let numbers = self.checkpoint(key);
+        let made = Segment::create(&folder, key, &Record::Checkpoint(numbers.clone()))?;
+        if let Some(last) = self.segments.values_mut().next_back() {
+            last.close();
+        }
         self.counts.written_bytes += SEGMENT as u64;
         self.counts.syncs += 2;
         self.segments.insert(key, made);
         self.writable = true;
         self.sweep();
+        self.write_numbers(&numbers);
         Ok(())
+    }
+
+    /// Windows that only the memory holds may be delivered from there: their numbers are kept
+    /// apart, so that no later run gives them to other windows.
+    pub(super) fn keep_numbers(&mut self) {
+        if self.folder.is_some() && self.in_memory_count() > 0 {
+            let numbers = self.next.clone();
+            self.write_numbers(&numbers);
+        }
+    }
+
+    fn write_numbers(&mut self, numbers: &Checkpoint) {
+        let Some(folder) = &self.folder else { return };
+        if self.numbers.is_none() {
+            self.numbers = Numbers::open(folder).ok().map(|(file, _)| file);
+        }
+        let Some(file) = &mut self.numbers else { return };
+        if let Err(error) = file.write(numbers) {
+            log::warn!("spool: numbers cannot be kept apart: {error}");
+            self.numbers = None;
+        }
+        self.counts.written_bytes += 4096;
+        self.counts.syncs += 1;
     }
 
     /// The numbers that the disk may know before the window with `key` is on it: were they

@@ -81,11 +81,15 @@ fn run_box(port: u16, site: &str, scene: &str, seed: u64, windows: u64) {
     let (client, mut connection) = Client::new(options, 100);
     let topic = format!("verge/{site}/density/60s");
     let name = site.to_owned();
+    // The last of its windows ends now.
+    let length_ms = (WINDOW_S * 1000) as i64;
+    let now_ms = jiff::Timestamp::now().as_millisecond();
+    let begin_ms = now_ms - now_ms.rem_euclid(length_ms) - windows as i64 * length_ms;
     let sender = std::thread::spawn(move || {
         // The archiver subscribes before the first window ends.
         std::thread::sleep(Duration::from_secs(2));
         for window in 0..windows {
-            let payload = measure(&mut street, &name, window).to_string();
+            let payload = measure(&mut street, &name, begin_ms, window).to_string();
             client.publish(&topic, QoS::AtLeastOnce, false, payload).expect("a connection");
         }
         client
@@ -102,7 +106,7 @@ fn run_box(port: u16, site: &str, scene: &str, seed: u64, windows: u64) {
 }
 
 /// Looks at the street through one window and tells its mean densities.
-fn measure(street: &mut Simulation, site: &str, window: u64) -> Value {
+fn measure(street: &mut Simulation, site: &str, begin_ms: i64, window: u64) -> Value {
     let frames = (WINDOW_S as f64 / FRAME_S) as u32;
     let measured = street.measured().to_vec();
     let cells = |length_m: f64| (length_m / CELL_M).round().max(1.0) as usize;
@@ -136,10 +140,8 @@ fn measure(street: &mut Simulation, site: &str, window: u64) -> Value {
                 "status": "oK", "cells": {"length_m": cell_m, "density_veh_km": by_cell}})
         })
         .collect();
-    let minutes = |window: u64| {
-        let (hour, minute) = (8 + window / 60, window % 60);
-        format!("2026-01-{:02}T{:02}:{minute:02}:00.000Z", 5 + hour / 24, hour % 24)
-    };
+    let minutes =
+        |window: u64| verge_messages::rfc3339(begin_ms + (window * WINDOW_S * 1000) as i64);
     let unknown = "0".repeat(64);
     json!({"schema": 1, "site": site, "seq": window + 1, "window_s": WINDOW_S, "from": minutes(window),
         "to": minutes(window + 1), "clock_synced": true, "lanes": lanes,

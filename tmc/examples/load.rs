@@ -72,10 +72,11 @@ fn message(number: usize, minute: usize) -> String {
             (number + minute + lane) % 90
         );
     }
-    let time = |minute: usize| {
-        let (day, hour) = (5 + minute / 1440, minute / 60 % 24);
-        format!("2026-01-{day:02}T{hour:02}:{:02}:00.000Z", minute % 60)
-    };
+    // From yesterday on, for the archive takes none that is to come.
+    const DAY_MS: i64 = 86_400_000;
+    let now_ms = jiff::Timestamp::now().as_millisecond();
+    let begin_ms = now_ms - now_ms.rem_euclid(DAY_MS) - DAY_MS;
+    let time = |minute: usize| verge_messages::rfc3339(begin_ms + minute as i64 * 60_000);
     let (from, to, sha256) = (time(minute), time(minute + 1), "0".repeat(64));
     format!(
         "{{\"schema\":1,\"site\":\"box{number:05}\",\"seq\":{},\"window_s\":60,\

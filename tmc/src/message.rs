@@ -23,11 +23,24 @@ pub fn read(bytes: &[u8]) -> Result<Density, String> {
     };
     // A folder of the archive has the site's name.
     let site = &message.site;
-    let plain = site.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b));
-    if site.is_empty() || !plain || site.starts_with('.') {
+    if !is_site(site) {
         return Err(format!("site {site:?}: letters, digits, '-', '_' and '.' make a name"));
     }
     Ok(message)
+}
+
+/// Rows of the archive that a message becomes: its lanes and their cells.
+pub fn rows(message: &Density) -> usize {
+    let cells = |lane: &verge_messages::Lane| {
+        lane.cells.as_ref().map_or(0, |cells| cells.count(lane.length_m))
+    };
+    message.lanes.iter().map(|lane| 1 + cells(lane)).sum()
+}
+
+/// Whether this names a site: a folder of the archive has its name.
+pub fn is_site(name: &str) -> bool {
+    let plain = name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b));
+    (1..=verge_messages::LONGEST_NAME).contains(&name.len()) && plain && !name.starts_with('.')
 }
 
 #[cfg(test)]

@@ -167,6 +167,124 @@ fn through_tls_it_takes_from_a_broker_that_the_authority_knows() {
     assert!(stderr(&output).contains("give PEM certificates"), "{}", stderr(&output));
 }
 
+/// What an archiver says that runs until nothing comes for a second.
+fn archive(port: u16, out: &Path) -> String {
+    let broker = format!("127.0.0.1:{port}");
+    let args = ["archive", "--broker", &broker, "--out", text(out), "--until-idle", "1"];
+    let output = tmc(&args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    stderr(&output)
+}
+
+#[test]
+fn what_a_box_may_not_send_is_refused_and_stops_no_other() {
+    let Some(broker) = mosquitto() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    archive(broker.port, folder.path());
+    let honest = messages(&["honest"], 30, &mut Numbers(3));
+    let of_evil = |payload: String| ("verge/evil/density/60s".to_owned(), payload);
+    let right = message("evil", 1, 0);
+    let mut all = vec![
+        // Over the limit of one packet that the broker lets through by default.
+        of_evil(" ".repeat(1_200_000) + &right),
+        // Of another site, before that site's own.
+        of_evil(message("honest", 1, 0).replace("0.5", "99.0")),
+        of_evil(right.replace("100.0", "1e39")),
+        of_evil(right.replace("\"window_s\":60", "\"window_s\":1")),
+        of_evil(right.replace("\"from\":\"20", "\"from\":\"-0000")),
+        of_evil(message("evil", 1, 9 * 1440)),
+        ("verge/<img src=x>/density/60s".to_owned(), message("<img src=x>", 1, 0)),
+        ("verge/..%2f/density/60s".to_owned(), message("../evil", 1, 0)),
+    ];
+    let refused = all.len();
+    all.extend(honest);
+    publish(broker.port, "boxes", &all, Duration::ZERO);
+    let said = archive(broker.port, folder.path());
+    assert_whole(folder.path(), &["honest"], 30);
+    assert!(!said.contains("the connection broke"), "{said}");
+    let counted = format!("evil: {} messages refused", refused - 2);
+    assert!(said.contains(&counted), "{said}");
+    assert!(!said.contains('\u{1b}') && said.contains("<img src=x>: 1 messages refused"), "{said}");
+    let first = &contents(folder.path())["honest"];
+    assert_eq!(first.len(), 30);
+    for partition in store::partitions(folder.path()).expect("an archive") {
+        let rows = store::read(&partition.path(folder.path())).expect("a whole file");
+        assert!(rows.iter().all(|row| row.se.is_none_or(|se| se == 0.5)), "believed another");
+    }
+}
+
+/// The most memory that a process has had, MB.
+fn peak_mb(process: u32) -> Option<f64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse::<f64>().ok().map(|kb| kb / 1024.0)
+}
+
+/// The largest message that is right: 264 rows from 3 KB, at a minute that many share.
+fn large(site: &str, seq: u64, minute: u64) -> String {
+    let mut value: serde_json::Value =
+        serde_json::from_str(&message(site, seq, minute)).expect("JSON");
+    let lane = value["lanes"][0].clone();
+    let lanes = (1..=8).map(|number| {
+        let mut lane = lane.clone();
+        lane["lane"] = number.into();
+        lane["cells"]["length_m"] = 3.125.into();
+        lane["cells"]["density_veh_km"] = serde_json::Value::Null;
+        lane
+    });
+    value["lanes"] = lanes.collect();
+    value.to_string()
+}
+
+/// One box sends the largest messages as fast as it can, each twice and some contradicting,
+/// beside others; for 4 s, or for a minute with VERGE_LONG=1.
+#[test]
+fn a_flood_of_one_box_takes_bounded_memory_and_loses_no_window_of_others() {
+    let Some(broker) = mosquitto() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    archive(broker.port, folder.path());
+    let long = std::env::var_os("VERGE_LONG").is_some_and(|value| value == "1");
+    let flood = Duration::from_secs(if long { 60 } else { 4 });
+    let sites: Vec<String> =
+        (0..if long { 1000 } else { 100 }).map(|n| format!("box{n}")).collect();
+    let names: Vec<&str> = sites.iter().map(String::as_str).collect();
+    let mut child = archiver(broker.port, folder.path(), "verge-tmc-1", &["--until-idle", "3"]);
+    let port = broker.port;
+    let evil = std::thread::spawn(move || {
+        let (begun, mut sent) = (std::time::Instant::now(), 0u64);
+        while begun.elapsed() < flood {
+            let batch: Vec<_> = (0..500)
+                .map(|n| {
+                    let minute = (sent + n) / 3 % 2880;
+                    let payload = large("evil", 1 + (sent + n) % 2, minute);
+                    ("verge/evil/density/60s".to_owned(), payload)
+                })
+                .collect();
+            publish(port, "evil", &batch, Duration::ZERO);
+            sent += 500;
+        }
+        sent
+    });
+    let minutes = 5;
+    let all = messages(&names, minutes, &mut Numbers(5));
+    let pause = flood / (2 * all.len() as u32);
+    publish(port, "boxes", &all, pause);
+    let mut peak = 0f64;
+    while child.try_wait().expect("it runs").is_none() {
+        peak = peak.max(peak_mb(child.id()).unwrap_or_default());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let sent = evil.join().expect("all was sent");
+    eprintln!("{sent} messages of one box, {} of others, {peak:.0} MB", all.len());
+    assert!(sent >= 500 && peak > 10.0 && peak < 256.0, "{sent} messages, {peak} MB");
+    let found = contents(folder.path());
+    for site in names {
+        let windows = &found[site];
+        assert_eq!(windows.len() as u64, minutes, "{site} has lost windows");
+        assert!(windows.values().all(|rows| *rows == ROWS), "{site} has lost or doubled rows");
+    }
+}
+
 #[test]
 fn without_a_broker_it_says_so() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,5 +1,5 @@
 //! Each outside crate has one door, and the centre imports neither sensor nor calibration: of
-//! `verge` the compact message alone.
+//! `verge` the compact message alone, and how it becomes one of `verge_messages`.
 
 use std::path::Path;
 

@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{failure, made_day as day, succeed, text};
+use common::{failure, made_day, made_day as day, succeed, text};
 use std::path::Path;
-use verge_tmc::store::Partition;
+use verge_tmc::store::{self, Partition};
 
 /// Monday 5 January 2026.
 const MONDAY: i64 = 20_458;
@@ -23,24 +23,26 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
     day("south", MONDAY, &archive);
     let said = succeed(&["report", "--archive", text(&archive), "--out", text(&out)]);
     assert!(said.starts_with("2 sites, 25920 rows"), "{said}");
-    let csv = read(&out.join("north/average_day_by_lane.csv"));
+    let csv = read(&out.join("sites/north/average_day_by_lane.csv"));
     assert!(csv.contains("\n05:45,1,5.0000,30\n05:45,2,,0\n06:00,1,6.0000,30\n"), "{csv}");
     assert!(csv.contains("\n23:45,2,46.0000,30\n"));
-    let csv = read(&out.join("north/week.csv"));
+    let csv = read(&out.join("sites/north/week.csv"));
     // Monday and Wednesday; at 12:00 lanes of 12 and 24.
     assert!(csv.contains("\n1,12:00,18.0000,30\n") && csv.contains("\n2,12:00,,0\n"), "{csv}");
     assert!(csv.contains("\n3,12:00,18.0000,30\n"));
-    let csv = read(&out.join("north/along_the_road.csv"));
+    let csv = read(&out.join("sites/north/along_the_road.csv"));
     assert!(csv.contains("\n1,0.0,5.7500,2880\n1,10.0,17.2500,2880\n"), "{csv}");
-    let csv = read(&out.join("north/average_day_by_position.csv"));
+    let csv = read(&out.join("sites/north/average_day_by_position.csv"));
     assert!(csv.contains("\n12:00,1,0.0,6.0000,30\n12:00,1,10.0,18.0000,30\n"), "{csv}");
     assert!(csv.contains("\n12:00,2,0.0,12.0000,30\n12:00,2,10.0,36.0000,30\n"), "{csv}");
-    let csv = read(&out.join("north/completeness.csv"));
+    let csv = read(&out.join("sites/north/completeness.csv"));
     assert!(csv.contains("\n2026-01-05,2,1440,1440,1080\n2026-01-07,1,1440,1440,1440\n"), "{csv}");
     let csv = read(&out.join("sites.csv"));
     // Two of three days; lane 2 has no density for a quarter of the day.
     assert!(csv.contains("north,2026-01-05,2026-01-07,2,2,66.67,58.33,"), "{csv}");
-    for (page, charts) in [("index.html", 2), ("north/index.html", 6), ("south/index.html", 6)] {
+    for (page, charts) in
+        [("index.html", 2), ("sites/north/index.html", 6), ("sites/south/index.html", 6)]
+    {
         let html = read(&out.join(page));
         assert_eq!(html.matches("<svg").count(), charts, "{page}");
         assert_eq!(html.matches("</svg>").count(), charts, "{page}");
@@ -54,15 +56,17 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
             assert!(target.exists(), "{page}: {}", target.display());
         }
     }
-    for picture in
-        ["week.png", "north/completeness.png", "south/average_day_by_position_lane_2.png"]
-    {
+    for picture in [
+        "week.png",
+        "sites/north/completeness.png",
+        "sites/south/average_day_by_position_lane_2.png",
+    ] {
         assert!(tiny_skia::Pixmap::load_png(out.join(picture)).is_ok(), "{picture}");
     }
     // The same archive gives the same report, whatever the number of threads.
     let again = folder.path().join("again");
     succeed(&["report", "--archive", text(&archive), "--out", text(&again), "--threads", "1"]);
-    for file in ["index.html", "sites.csv", "north/index.html", "south/week.png"] {
+    for file in ["index.html", "sites.csv", "sites/north/index.html", "sites/south/week.png"] {
         let bytes = |root: &Path| std::fs::read(root.join(file)).expect("a file");
         assert!(bytes(&out) == bytes(&again), "{file}");
     }
@@ -94,4 +98,67 @@ fn what_is_not_there_is_said() {
     let (code, error) = report(&[]);
     assert_eq!(code, 65, "{error}");
     assert!(error.contains("damaged"), "{error}");
+}
+
+/// A row as an archiver of before let it in.
+fn spoil(site: &str, day: i64, archive: &Path, change: impl Fn(&mut store::Row)) {
+    made_day(site, day, archive);
+    let path = Partition { site: site.into(), day }.path(archive);
+    let mut rows = store::read(&path).expect("a file");
+    change(&mut rows[0]);
+    rows.sort_by_key(store::Row::key);
+    store::write(&path, &rows).expect("writing a file");
+}
+
+#[test]
+fn one_bad_site_day_or_file_costs_its_own_page() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (archive, clean) = (folder.path().join("archive"), folder.path().join("clean"));
+    let out = |name: &str| folder.path().join(name);
+    for archive in [&archive, &clean] {
+        made_day("honest", MONDAY, archive);
+    }
+    succeed(&["report", "--archive", text(&clean), "--out", text(&out("expected"))]);
+    // Names that are files of the report, or none of a site; folders that are no day's.
+    for site in ["index.html", "sites.csv", "week.png"] {
+        made_day(site, MONDAY, &archive);
+    }
+    for name in ["site=<img src=x onerror=alert(1)>/date=2026-01-05", "site=honest/date=-000001-01"]
+    {
+        std::fs::create_dir_all(archive.join(name)).expect("a folder");
+    }
+    made_day("honest", 40_000, &archive);
+    // Numbers that no box measures.
+    spoil("inf", MONDAY, &archive, |row| row.density = Some(f32::INFINITY));
+    spoil("minus", MONDAY, &archive, |row| row.density = Some(-1e30));
+    spoil("second", MONDAY, &archive, |row| row.window_s = 1);
+    spoil("old", MONDAY, &archive, |row| row.from_ms = -14_831_769_540_000);
+    // One file of two is damaged, and the only one.
+    for (site, days) in [("half", vec![MONDAY, MONDAY + 1]), ("lost", vec![MONDAY])] {
+        days.iter().for_each(|day| made_day(site, *day, &archive));
+        let path = Partition { site: site.into(), day: MONDAY }.path(&archive);
+        let bytes = std::fs::read(&path).expect("a file");
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writing a file");
+    }
+    let report = ["report", "--archive", text(&archive), "--out", text(&out("report"))];
+    let (code, said) = failure(&report);
+    assert_eq!(code, 65, "{said}");
+    for named in ["date=2026-01-05/density.parquet: is damaged", "site=lost", "2 sites or days"] {
+        assert!(said.contains(named), "{said}");
+    }
+    assert!(said.contains("onerror") && said.contains("is passed over"), "{said}");
+    let read = |root: &str, file: &str| read(&out(root).join(file));
+    for file in ["index.html", "average_day_by_lane.csv", "week.csv"] {
+        let file = format!("sites/honest/{file}");
+        assert_eq!(read("report", &file), read("expected", &file), "{file}");
+    }
+    let index = read("report", "index.html");
+    assert!(!index.contains("<img") && !index.contains("NaN"), "{index}");
+    let sites = read("report", "sites.csv");
+    for site in ["half", "honest", "index.html", "inf", "minus", "old", "second", "week.png"] {
+        assert!(sites.contains(&format!("\n{site},2026-01-0")), "{site} in {sites}");
+        assert!(out("report").join("sites").join(site).join("index.html").exists(), "{site}");
+    }
+    assert!(!sites.contains("\nlost,") && sites.contains("\nhalf,2026-01-06,2026-01-06,1,"));
+    assert!(sites.contains("\nsecond,2026-01-05,2026-01-05,1,2,9"), "{sites}");
 }

@@ -1,25 +1,28 @@
 //! From the journal into the archive: each window once, whatever arrives twice.
 //!
-//! A partition's file is read, the windows that it lacks are added, and it is replaced as a
-//! whole; a segment goes when all its windows are in their files. A crash in between repeats
-//! the work and changes nothing. A lock on the archive lets several archivers share it.
+//! Owns the order of work: records are read until they make enough rows, their partitions are
+//! merged (`merge`), and a segment goes when all its windows are in their files. A crash in
+//! between repeats the work and changes nothing. What cannot be read, in the journal or in the
+//! archive, is set aside and costs its own windows alone. A lock on the archive lets several
+//! archivers share it.
 
+use super::aside::Aside;
 use super::gaps::{self, Gap};
-use super::journal;
+use super::journal::{Journal, Segment};
+use super::merge::{self, Merged, Window};
 use crate::failure::Failure;
 use crate::message;
-use crate::store::{self, DAY_MS, Partition, Row};
-use crate::whole;
-use std::collections::{BTreeMap, BTreeSet};
+use crate::store::{DAY_MS, Partition, Row};
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use verge_messages::Density;
 
-/// Partitions that are written at the same time; each holds one site's day in memory.
-const WRITERS: usize = 8;
-/// Segments are read together up to this size, bytes of messages; in memory they take less.
-const AT_ONCE_BYTES: usize = 256 << 20;
+/// Partitions that are written at the same time; each holds a row group in memory.
+const WRITERS: usize = 4;
+/// Rows that are merged together: some 60 MB in memory.
+const AT_ONCE_ROWS: usize = 300_000;
 
 /// What a compaction did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -28,10 +31,12 @@ pub struct Done {
     pub windows: usize,
     /// Messages of windows that were there already.
     pub duplicates: usize,
-    /// Messages that could not be read; they lie in `_rejected`.
+    /// Messages that could not be taken; some of them lie in `_rejected`.
     pub rejected: usize,
     /// Gaps in the numbers of messages that remain in the days that were touched.
     pub gaps: Vec<Gap>,
+    /// What is to be said of it.
+    pub told: Vec<String>,
     /// The days that were touched.
     days: Vec<Partition>,
     /// Those whose first and those whose last window is another than before.
@@ -39,136 +44,232 @@ pub struct Done {
 }
 
 impl Done {
-    /// Takes in what was done after it.
-    fn take(&mut self, later: Self) {
-        self.windows += later.windows;
-        self.duplicates += later.duplicates;
-        self.rejected += later.rejected;
+    /// Takes in what was done with a partition after it.
+    fn take(&mut self, day: Partition, merged: Merged) {
+        self.windows += merged.windows;
+        self.duplicates += merged.duplicates;
+        self.rejected += merged.refused.len();
         // A day that was touched again has new gaps.
-        self.gaps.retain(|gap| !later.days.iter().any(|day| gap.begins_in(day)));
-        self.gaps.extend(later.gaps);
-        self.days.extend(later.days);
-        self.edges.first.extend(later.edges.first);
-        self.edges.last.extend(later.edges.last);
+        self.gaps.retain(|gap| !gap.begins_in(&day));
+        self.gaps.extend(merged.gaps);
+        self.days.push(day);
+        self.edges.first.extend(merged.edges.first);
+        self.edges.last.extend(merged.edges.last);
     }
 }
 
-/// Moves closed segments into the archive under `root`.
+/// A record of a segment, to be found again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Place {
+    segment: usize,
+    /// Which of its records.
+    record: usize,
+}
+
+/// Windows that are merged together.
+#[derive(Debug, Default)]
+struct Batch {
+    days: BTreeMap<Partition, Vec<Window>>,
+    places: Vec<Place>,
+    rows: usize,
+}
+
+/// Where an archiver's windows wait that could not be archived: their site's folder or day
+/// cannot be written.
+pub fn failed(root: &Path, name: &str) -> PathBuf {
+    root.join("_journal").join(name).join("failed")
+}
+
+/// Moves closed segments into the archive under `root`; `name` is the archiver's.
 ///
 /// Several at once where they are small: a day's file is then rewritten once for all of them.
 ///
 /// # Errors
-/// [`Failure`]; the segments then stay and are tried again.
-pub fn compact(root: &Path, segments: &[PathBuf]) -> Result<Done, Failure> {
-    let mut done = Done::default();
-    let mut rest = segments;
-    while !rest.is_empty() {
-        let mut days = BTreeMap::new();
-        let (mut bytes, mut count) = (0, 0);
-        while bytes < AT_ONCE_BYTES && count < rest.len() {
-            bytes += take_segment(root, &rest[count], &mut days, &mut done)?;
-            count += 1;
+/// [`Failure`] where the journal or the archive as a whole cannot be read or written; the
+/// segments then stay and are tried again.
+pub fn compact(root: &Path, name: &str, segments: &[PathBuf]) -> Result<Done, Failure> {
+    let mut work = Work {
+        root,
+        segments,
+        failed: failed(root, name),
+        aside: Aside::open(root, &format!("{name}-compact"))?,
+        done: Done::default(),
+    };
+    let (mut batch, mut first) = (Batch::default(), 0);
+    for (index, path) in segments.iter().enumerate() {
+        let segment = Segment::read(path)?;
+        let mut records = segment.records();
+        let mut number = 0;
+        while let Some(payload) = records.next() {
+            work.take(&mut batch, Place { segment: index, record: number }, payload);
+            number += 1;
+            if batch.rows >= AT_ONCE_ROWS {
+                work.merge(std::mem::take(&mut batch))?;
+            }
         }
-        let path = root.join("_lock");
-        let lock = File::create(&path).map_err(|source| Failure::writing(&path, source))?;
-        lock.lock().map_err(|source| Failure::writing(&path, source))?;
-        done.take(merge_all(root, days)?);
-        for segment in &rest[..count] {
-            fs::remove_file(segment).map_err(|source| Failure::writing(segment, source))?;
+        if records.damaged() > 0 {
+            // Its whole records are in the batch; the segment itself is kept.
+            work.merge(std::mem::take(&mut batch))?;
+            work.keep(path, records.damaged())?;
+            work.remove(&segments[first..index])?;
+            first = index + 1;
         }
-        rest = &rest[count..];
     }
+    work.merge(batch)?;
+    work.remove(&segments[first..])?;
+    let Work { mut done, mut aside, .. } = work;
+    done.told.extend(aside.tell()?);
     // Only now are all days as they will be.
     done.gaps.extend(gaps::between(root, &done.edges)?);
     done.gaps.sort();
     Ok(done)
 }
 
-/// Reads a segment's windows into their days and keeps aside what cannot be read; its size.
-fn take_segment(
-    root: &Path,
-    segment: &Path,
-    days: &mut BTreeMap<Partition, Vec<Density>>,
-    done: &mut Done,
-) -> Result<usize, Failure> {
-    let (payloads, torn) = journal::read(segment)?;
-    if torn > 0 {
-        eprintln!("verge-tmc: {}: {torn} bytes are torn, passed over", segment.display());
-    }
-    let (mut bytes, mut rejected) = (0, Vec::new());
-    for payload in payloads {
-        bytes += payload.len();
-        match message::read(&payload) {
-            Ok(window) => {
-                let day = window.from.0.div_euclid(DAY_MS);
-                let partition = Partition { site: window.site.clone(), day };
-                days.entry(partition).or_default().push(window);
+struct Work<'a> {
+    root: &'a Path,
+    segments: &'a [PathBuf],
+    failed: PathBuf,
+    aside: Aside,
+    done: Done,
+}
+
+impl Work<'_> {
+    fn take(&mut self, batch: &mut Batch, place: Place, payload: &[u8]) {
+        match message::read(payload) {
+            Ok(message) => {
+                let day = message.from.0.div_euclid(DAY_MS);
+                let rows = of_window(&message);
+                batch.rows += rows.len();
+                let window = Window {
+                    key: (message.window_s as i32, message.from.0),
+                    rows,
+                    message: batch.places.len(),
+                };
+                let partition = Partition { site: message.site, day };
+                batch.days.entry(partition).or_default().push(window);
+                batch.places.push(place);
             }
+            // From before messages were checked at the door.
             Err(reason) => {
-                if done.rejected == 0 {
-                    eprintln!("verge-tmc: a message is rejected: {reason}");
-                }
-                done.rejected += 1;
-                rejected.extend(payload);
-                rejected.push(b'\n');
+                self.done.rejected += 1;
+                self.aside.refuse("?", &reason, payload);
             }
         }
     }
-    if !rejected.is_empty() {
+
+    /// Merges what was collected; a partition that fails costs its own windows.
+    fn merge(&mut self, batch: Batch) -> Result<(), Failure> {
+        if batch.days.is_empty() {
+            return Ok(());
+        }
+        let path = self.root.join("_lock");
+        let lock = File::create(&path).map_err(|source| Failure::writing(&path, source))?;
+        lock.lock().map_err(|source| Failure::writing(&path, source))?;
+        let mut failed = Vec::new();
+        for (partition, messages, result) in merge_all(self.root, batch.days) {
+            match result {
+                Ok(merged) => {
+                    self.refuse(&partition.site, &merged.refused, &batch.places)?;
+                    self.done.take(partition, merged);
+                }
+                Err(failure) => {
+                    let site = &partition.site;
+                    self.done.told.push(format!("{site}: not archived, tried again: {failure}"));
+                    failed.extend(messages.into_iter().map(|message| batch.places[message]));
+                }
+            }
+        }
+        if failed.is_empty() {
+            return Ok(());
+        }
+        let mut journal = Journal::open(&self.failed)?;
+        let payloads = self.payloads(failed)?;
+        journal.append(payloads.iter().map(Vec::as_slice))
+    }
+
+    /// Counts what a partition did not take, and keeps some of it.
+    fn refuse(
+        &mut self,
+        site: &str,
+        refused: &[(usize, String)],
+        places: &[Place],
+    ) -> Result<(), Failure> {
+        let (kept, counted) = refused.split_at(refused.len().min(self.aside.room(site)));
+        let payloads = self.payloads(kept.iter().map(|(message, _)| places[*message]).collect())?;
+        for ((_, reason), payload) in kept.iter().zip(payloads) {
+            self.aside.refuse(site, reason, &payload);
+        }
+        for (_, reason) in counted {
+            self.aside.refuse(site, reason, &[]);
+        }
+        Ok(())
+    }
+
+    /// The messages of records, in the order of the journal.
+    fn payloads(&self, mut places: Vec<Place>) -> Result<Vec<Vec<u8>>, Failure> {
+        places.sort_unstable();
+        let mut found = Vec::new();
+        for places in places.chunk_by(|a, b| a.segment == b.segment) {
+            let segment = Segment::read(&self.segments[places[0].segment])?;
+            let mut wanted = places.iter().peekable();
+            for (number, payload) in segment.records().enumerate() {
+                if wanted.next_if(|place| place.record == number).is_some() {
+                    found.push(payload.to_vec());
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// Keeps a segment in which something could not be read.
+    fn keep(&mut self, segment: &Path, damaged: usize) -> Result<(), Failure> {
         let name = |path: Option<&Path>| {
             path.and_then(Path::file_stem).unwrap_or_default().to_string_lossy().into_owned()
         };
-        let own = format!("{}-{}.txt", name(segment.parent()), name(Some(segment)));
-        whole::write(&root.join("_rejected").join(own), &rejected)?;
+        let own = format!("{}-{}.journal", name(segment.parent()), name(Some(segment)));
+        let kept = self.root.join("_rejected").join(own);
+        fs::create_dir_all(self.root.join("_rejected"))
+            .and_then(|()| fs::rename(segment, &kept))
+            .map_err(|source| Failure::writing(&kept, source))?;
+        let told = format!("{damaged} bytes of the journal could not be read: {}", kept.display());
+        self.done.told.push(told);
+        Ok(())
     }
-    Ok(bytes)
+
+    fn remove(&self, segments: &[PathBuf]) -> Result<(), Failure> {
+        for segment in segments {
+            fs::remove_file(segment).map_err(|source| Failure::writing(segment, source))?;
+        }
+        Ok(())
+    }
 }
 
-/// Merges partitions side by side: the time goes into waiting for the disk.
-fn merge_all(root: &Path, days: BTreeMap<Partition, Vec<Density>>) -> Result<Done, Failure> {
+/// Merges partitions side by side, those with the smallest files first: a site with much waits
+/// for the others, and they not for it.
+fn merge_all(
+    root: &Path,
+    days: BTreeMap<Partition, Vec<Window>>,
+) -> Vec<(Partition, Vec<usize>, Result<Merged, Failure>)> {
+    let mut days: Vec<_> = days.into_iter().collect();
+    days.sort_by_key(|(partition, windows)| {
+        let bytes = fs::metadata(partition.path(root)).map_or(0, |file| file.len());
+        (bytes, windows.len())
+    });
     let queue = Mutex::new(days.into_iter());
-    let work = || -> Result<Done, Failure> {
-        let mut done = Done::default();
+    let work = || {
+        let mut all = Vec::new();
         loop {
             let next = queue.lock().expect("no thread panics with it").next();
-            let Some((partition, windows)) = next else { return Ok(done) };
-            done.take(merge(root, &partition, &windows)?);
+            let Some((partition, windows)) = next else { return all };
+            let messages = windows.iter().map(|window| window.message).collect();
+            let merged = merge::merge(root, &partition, windows);
+            all.push((partition, messages, merged));
         }
     };
-    let results: Vec<Result<Done, Failure>> = std::thread::scope(|scope| {
+    std::thread::scope(|scope| {
         let running: Vec<_> = (0..WRITERS).map(|_| scope.spawn(work)).collect();
-        running.into_iter().map(|thread| thread.join().expect("no thread panics")).collect()
-    });
-    let mut done = Done::default();
-    for result in results {
-        done.take(result?);
-    }
-    Ok(done)
-}
-
-fn merge(root: &Path, partition: &Partition, windows: &[Density]) -> Result<Done, Failure> {
-    let path = partition.path(root);
-    let mut rows = if path.exists() { store::read(&path)? } else { Vec::new() };
-    let known = rows.len();
-    let mut there: BTreeSet<(i32, i64)> =
-        rows.iter().map(|row| (row.window_s, row.from_ms)).collect();
-    let mut done = Done { days: vec![partition.clone()], ..Done::default() };
-    for window in windows {
-        if there.insert((window.window_s as i32, window.from.0)) {
-            rows.extend(of_window(window));
-            done.windows += 1;
-        } else {
-            done.duplicates += 1;
-        }
-    }
-    if done.windows > 0 {
-        let before = gaps::ends(&rows[..known]);
-        rows.sort_by_key(Row::key);
-        store::write(&path, &rows)?;
-        done.edges = gaps::Edges::of(partition, &before, &gaps::ends(&rows));
-    }
-    done.gaps = gaps::within(&partition.site, &rows);
-    Ok(done)
+        running.into_iter().flat_map(|thread| thread.join().expect("no thread panics")).collect()
+    })
 }
 
 /// The rows of a window: its lanes, then their cells.
@@ -220,8 +321,9 @@ pub fn of_window(window: &Density) -> Vec<Row> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::archive::journal::Journal;
     use crate::message::tests::message;
+    use crate::store;
+    use std::collections::BTreeSet;
 
     fn minute(site: &str, seq: u64) -> String {
         message(site, seq, &format!("2026-01-05T08:{:02}:00.000Z", seq - 1))
@@ -235,7 +337,7 @@ mod tests {
         let mut archive = |messages: &[String]| {
             journal.append(messages.iter().map(String::as_bytes)).unwrap();
             journal.close_segment();
-            compact(root, &journal.closed().unwrap()).unwrap()
+            compact(root, "a", &journal.closed().unwrap()).unwrap()
         };
         let done = archive(&[minute("a", 1), minute("a", 2), minute("a", 2), minute("a", 5)]);
         assert_eq!((done.windows, done.duplicates, done.rejected), (3, 1, 0));
@@ -275,7 +377,7 @@ mod tests {
             let mut missing = |messages: &[&String]| {
                 journal.append(messages.iter().map(|message| message.as_bytes())).unwrap();
                 journal.close_segment();
-                let done = compact(root, &journal.closed().unwrap()).unwrap();
+                let done = compact(root, "a", &journal.closed().unwrap()).unwrap();
                 done.gaps.iter().map(|gap| gap.missing).collect::<Vec<_>>()
             };
             assert_eq!(missing(&order[..1]), [0; 0]);
@@ -297,9 +399,51 @@ mod tests {
         }
         let segments = journal.closed().unwrap();
         assert_eq!(segments.len(), 4);
-        let done = compact(root, &segments).unwrap();
+        let done = compact(root, "a", &segments).unwrap();
         assert_eq!((done.windows, done.duplicates, done.gaps), (3, 1, vec![]));
         assert!(journal.closed().unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_damaged_segment_gives_what_is_whole_in_it_and_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let mut journal = Journal::open(&root.join("_journal/a")).unwrap();
+        let messages: Vec<String> = (1..=9).map(|seq| minute("a", seq)).collect();
+        journal.append(messages.iter().map(String::as_bytes)).unwrap();
+        journal.close_segment();
+        let segment = journal.closed().unwrap().remove(0);
+        let mut bytes = fs::read(&segment).unwrap();
+        // A bit of the second record's length.
+        let second = 8 + messages[0].len();
+        bytes[second + 1] ^= 1;
+        fs::write(&segment, &bytes).unwrap();
+        let done = compact(root, "a", std::slice::from_ref(&segment)).unwrap();
+        assert_eq!((done.windows, done.duplicates, done.rejected), (8, 0, 0));
+        assert_eq!(done.gaps.len(), 1, "one window is missing, and that is told");
+        assert!(done.told[0].contains("bytes of the journal could not be read"), "{:?}", done.told);
+        assert_eq!(fs::read(root.join("_rejected/a-00000001.journal")).unwrap(), bytes);
+        assert!(journal.closed().unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_site_that_cannot_be_written_stops_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let mut journal = Journal::open(&root.join("_journal/a")).unwrap();
+        journal.append([minute("a", 1).as_bytes(), minute("b", 1).as_bytes()].into_iter()).unwrap();
+        journal.close_segment();
+        fs::write(root.join("site=a"), "in the way").unwrap();
+        let segments = journal.closed().unwrap();
+        let done = compact(root, "a", &segments).unwrap();
+        assert_eq!(done.windows, 1);
+        assert!(done.told[0].starts_with("a: not archived, tried again: "), "{:?}", done.told);
+        assert_eq!(store::site_partitions(root, "b").unwrap().len(), 1);
+        assert!(journal.closed().unwrap().is_empty());
+        fs::remove_file(root.join("site=a")).unwrap();
+        let waiting = Journal::open(&failed(root, "a")).unwrap().closed().unwrap();
+        let done = compact(root, "a", &waiting).unwrap();
+        assert_eq!((done.windows, done.duplicates), (1, 0));
     }
 
     #[test]
@@ -312,12 +456,12 @@ mod tests {
         journal.close_segment();
         let segment = journal.closed().unwrap().remove(0);
         let kept = fs::read(&segment).unwrap();
-        compact(root, std::slice::from_ref(&segment)).unwrap();
+        compact(root, "a", std::slice::from_ref(&segment)).unwrap();
         let path = store::partitions(root).unwrap()[0].path(root);
         let first = fs::read(&path).unwrap();
         // As after a crash before the segment was removed.
         fs::write(&segment, &kept).unwrap();
-        let done = compact(root, std::slice::from_ref(&segment)).unwrap();
+        let done = compact(root, "a", std::slice::from_ref(&segment)).unwrap();
         assert_eq!((done.windows, done.duplicates), (0, 9));
         assert_eq!(fs::read(&path).unwrap(), first);
     }

@@ -2,16 +2,17 @@
 //!
 //! Segments `00000001.journal` and so on in a folder of one archiver. A record is its length
 //! (4 bytes, little-endian), a CRC-32 of the payload (4 bytes) and the payload. A torn record
-//! at the end is what a crash leaves: its message was not acknowledged and comes again. A
-//! damaged one before others is passed over.
+//! at the end is what a crash leaves: its message was not acknowledged and comes again. Behind
+//! a damaged one the next whole record is looked for, byte by byte, and a segment with damage
+//! is kept, for what could not be read in it may have been acknowledged.
 
 use crate::failure::Failure;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// A segment as large as this is closed, bytes: its messages fit into memory many times.
-pub const SEGMENT_BYTES: u64 = 64 << 20;
+/// A segment as large as this is closed, bytes; it is read as a whole.
+pub const SEGMENT_BYTES: u64 = 16 << 20;
 /// A record is never longer, bytes.
 const LONGEST: usize = 1 << 20;
 const HEADER: usize = 8;
@@ -107,35 +108,103 @@ fn segments(folder: &Path) -> Result<Vec<(u64, PathBuf)>, Failure> {
     Ok(found)
 }
 
-/// The payloads of a segment, and how many of its bytes are torn or damaged.
-///
-/// # Errors
-/// [`Failure`] where it cannot be read.
-pub fn read(segment: &Path) -> Result<(Vec<Vec<u8>>, usize), Failure> {
-    let bytes = fs::read(segment).map_err(|source| Failure::reading(segment, source))?;
-    let mut payloads = Vec::new();
-    let (mut rest, mut damaged) = (bytes.as_slice(), 0);
-    while let Some((header, after)) = rest.split_first_chunk::<HEADER>() {
-        let [l0, l1, l2, l3, c0, c1, c2, c3] = *header;
-        let length = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
-        // A length of 0 is what a file system leaves where it never wrote.
-        let plausible = (1..=LONGEST).contains(&length);
-        let Some(payload) = after.get(..length).filter(|_| plausible) else { break };
-        let mut crc = flate2::Crc::new();
-        crc.update(payload);
-        if crc.sum() == u32::from_le_bytes([c0, c1, c2, c3]) {
-            payloads.push(payload.to_vec());
-        } else {
-            damaged += HEADER + length;
-        }
-        rest = &after[length..];
+/// A segment in memory.
+#[derive(Debug)]
+pub struct Segment {
+    bytes: Vec<u8>,
+}
+
+impl Segment {
+    /// Reads it.
+    ///
+    /// # Errors
+    /// [`Failure`] where it cannot be read.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let bytes = fs::read(path).map_err(|source| Failure::reading(path, source))?;
+        Ok(Self { bytes })
     }
-    Ok((payloads, rest.len() + damaged))
+
+    /// Its whole records, in their order.
+    pub const fn records(&self) -> Records<'_> {
+        Records { rest: self.bytes.as_slice(), damaged: 0 }
+    }
+}
+
+/// The whole records of a segment, one after the other.
+#[derive(Clone, Debug)]
+pub struct Records<'s> {
+    rest: &'s [u8],
+    damaged: usize,
+}
+
+impl Records<'_> {
+    /// Bytes that were passed over so far because they are no record; zeros, which a file
+    /// system leaves where it never wrote, do not count.
+    pub const fn damaged(&self) -> usize {
+        self.damaged
+    }
+}
+
+impl<'s> Iterator for Records<'s> {
+    type Item = &'s [u8];
+
+    fn next(&mut self) -> Option<&'s [u8]> {
+        while let Some((&first, behind)) = self.rest.split_first() {
+            if let Some(payload) = record(self.rest) {
+                self.rest = &self.rest[HEADER + payload.len()..];
+                return Some(payload);
+            }
+            self.damaged += usize::from(first != 0);
+            self.rest = behind;
+        }
+        None
+    }
+}
+
+/// The payload of a whole record at the beginning of these bytes.
+fn record(bytes: &[u8]) -> Option<&[u8]> {
+    let (header, after) = bytes.split_first_chunk::<HEADER>()?;
+    let [l0, l1, l2, l3, c0, c1, c2, c3] = *header;
+    let length = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
+    let payload = after.get(..length).filter(|_| (1..=LONGEST).contains(&length))?;
+    let mut crc = flate2::Crc::new();
+    crc.update(payload);
+    (crc.sum() == u32::from_le_bytes([c0, c1, c2, c3])).then_some(payload)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn read(path: &Path) -> (Vec<Vec<u8>>, usize) {
+        let segment = Segment::read(path).unwrap();
+        let mut records = segment.records();
+        let payloads = records.by_ref().map(<[u8]>::to_vec).collect();
+        (payloads, records.damaged())
+    }
+
+    #[test]
+    fn a_flipped_bit_costs_its_own_record_and_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut journal = Journal::open(folder.path()).unwrap();
+        let sent: Vec<Vec<u8>> = (0..5u8).map(|n| vec![b'a' + n; 40 + usize::from(n)]).collect();
+        journal.append(sent.iter().map(Vec::as_slice)).unwrap();
+        journal.close_segment();
+        let path = journal.closed().unwrap().remove(0);
+        let whole = fs::read(&path).unwrap();
+        let begins = [0, 48, 97, 147, 198];
+        for bit in 0..whole.len() * 8 {
+            let mut wrong = whole.clone();
+            wrong[bit / 8] ^= 1 << (bit % 8);
+            fs::write(&path, &wrong).unwrap();
+            let hit = begins.iter().rposition(|begin| *begin <= bit / 8).unwrap();
+            let mut left = sent.clone();
+            left.remove(hit);
+            let (payloads, damaged) = read(&path);
+            assert_eq!(payloads, left, "bit {bit}");
+            assert!(damaged > 0, "bit {bit}");
+        }
+    }
 
     #[test]
     fn records_survive_and_a_torn_end_is_cut() {
@@ -151,17 +220,19 @@ mod tests {
         let whole = fs::read(&closed[0]).unwrap();
         for length in 0..=whole.len() {
             fs::write(&closed[0], &whole[..length]).unwrap();
-            let (payloads, torn) = read(&closed[0]).unwrap();
+            let (payloads, torn) = read(&closed[0]);
             let expected = [0, 11, 22].iter().filter(|end| **end > 0 && **end <= length).count();
             assert_eq!(payloads.len(), expected);
-            assert_eq!(torn, length - expected * 11);
+            let rest = &whole[expected * 11..length];
+            assert_eq!(torn, rest.iter().filter(|byte| **byte != 0).count());
         }
         let mut wrong = whole.clone();
         wrong[9] ^= 1;
         fs::write(&closed[0], &wrong).unwrap();
-        assert_eq!(read(&closed[0]).unwrap(), (vec![b"two".to_vec()], 11));
+        assert_eq!(read(&closed[0]).0, [b"two"]);
         fs::write(&closed[0], [&whole[..], &[0; 40]].concat()).unwrap();
-        assert_eq!(read(&closed[0]).unwrap().0.len(), 2);
+        let (payloads, torn) = read(&closed[0]);
+        assert_eq!((payloads.len(), torn), (2, 0));
         drop(journal);
         // After a restart both are closed, and a new one has its own number.
         let mut journal = Journal::open(folder.path()).unwrap();

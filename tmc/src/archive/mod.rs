@@ -1,17 +1,23 @@
 //! `verge-tmc archive`: from the broker into Parquet, each window exactly once.
 //!
-//! Owns the command and its order of work: a message is acknowledged when the journal has it
-//! on the disk, and compaction moves the journal into the archive in a thread of its own.
-//! `subscriber` is the door to the broker, `journal` and `compact` the two halves of the disk.
+//! Owns the command and its order of work: a message that the `door` lets in is acknowledged
+//! when the journal has it on the disk, and compaction moves the journal into the archive in a
+//! thread of its own. `subscriber` is the connection to the broker, `journal` and `compact` the
+//! two halves of the disk, `aside` keeps what is refused.
 
+mod aside;
 pub mod compact;
+mod door;
 mod gaps;
 pub mod journal;
+mod merge;
 mod subscriber;
 mod tls;
 
 use crate::failure::Failure;
+use aside::Aside;
 use compact::Done;
+use door::{Door, Verdict};
 use gaps::Gap;
 use journal::{Journal, SEGMENT_BYTES};
 use std::path::{Path, PathBuf};
@@ -19,7 +25,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use subscriber::{Settings, Subscriber};
+use subscriber::{Arrived, Settings, Subscriber};
+use verge_messages::Utc;
 
 /// Arguments of `archive`.
 #[derive(clap::Args, Debug)]
@@ -39,15 +46,24 @@ pub struct Arguments {
     /// User at the broker; the password stands in the file.
     #[arg(long, requires = "password_file")]
     user: Option<String>,
-    /// File with the password.
+    /// File with the password, which its owner alone may read.
     #[arg(long, value_name = "FILE", requires = "user")]
     password_file: Option<PathBuf>,
     /// TLS to the broker, whose certificate an authority in this PEM file has signed.
     #[arg(long, value_name = "FILE")]
     ca: Option<PathBuf>,
+    /// Certificate of this archiver for the broker, PEM.
+    #[arg(long, value_name = "FILE", requires_all = ["key", "ca"])]
+    cert: Option<PathBuf>,
+    /// Its key, PEM, which its owner alone may read.
+    #[arg(long, value_name = "FILE", requires = "cert")]
+    key: Option<PathBuf>,
     /// Folder of the archive.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Windows that began longer ago are refused.
+    #[arg(long, value_name = "DAYS", default_value_t = 92)]
+    oldest: u64,
     /// Seconds between two compactions.
     #[arg(long, value_name = "S", default_value_t = 300)]
     compact_every: u64,
@@ -74,43 +90,115 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let hint = "--name and --group are made of letters, digits, '-', '_' and '.'";
         return Err(Failure::Usage(hint.into()));
     }
-    let out = &arguments.out;
-    let mut journal = Journal::open(&out.join("_journal").join(&arguments.name))?;
-    let mut compactor = Compactor::default();
-    compactor.begin(out, &journal)?;
-    let mut subscriber = Subscriber::connect(settings(arguments)?)?;
-    let every = Duration::from_secs(arguments.compact_every.max(1));
-    let idle = arguments.until_idle.map(Duration::from_secs);
-    let (mut compacted, mut heard) = (Instant::now(), Instant::now());
-    let (mut taken, mut first) = (0, None);
-    while !stop.load(Ordering::Relaxed) && idle.is_none_or(|idle| heard.elapsed() < idle) {
-        let messages = subscriber.receive(TICK);
-        if !messages.is_empty() {
-            first.get_or_insert_with(Instant::now);
-            // An empty one ends a replay of compact messages.
-            let payloads = messages.iter().map(|message| &message.payload[..]);
-            journal.append(payloads.filter(|payload| !payload.is_empty()))?;
-            subscriber.acknowledge(&messages);
-            heard = Instant::now();
-            taken += messages.len();
-        }
-        if journal.written() > SEGMENT_BYTES {
-            journal.close_segment();
-        }
-        if compacted.elapsed() > every && compactor.is_idle() {
-            compacted = Instant::now();
-            journal.close_segment();
-            compactor.begin(out, &journal)?;
-        }
+    Archiver::open(arguments)?.run(arguments, &stop)
+}
+
+/// The journals and what works on them.
+struct Archiver {
+    out: PathBuf,
+    name: String,
+    door: Door,
+    aside: Aside,
+    /// What is archived with the next compaction.
+    journal: Journal,
+    /// What is archived after it, a segment at a time.
+    later: Journal,
+    compactor: Compactor,
+}
+
+impl Archiver {
+    fn open(arguments: &Arguments) -> Result<Self, Failure> {
+        let (out, name) = (arguments.out.clone(), arguments.name.clone());
+        let folder = out.join("_journal").join(&name);
+        Ok(Self {
+            door: Door::new(&arguments.root, Duration::from_secs(arguments.oldest * 86_400)),
+            aside: Aside::open(&out, &name)?,
+            journal: Journal::open(&folder)?,
+            later: Journal::open(&folder.join("later"))?,
+            compactor: Compactor::default(),
+            out,
+            name,
+        })
     }
-    subscriber.leave();
-    compactor.wait()?;
-    journal.close_segment();
-    compactor.begin(out, &journal)?;
-    compactor.wait()?;
-    let seconds = first.map_or(0.0, |first| heard.duration_since(first).as_secs_f64());
-    eprintln!("verge-tmc: {taken} messages taken, the last {seconds:.1} s after the first");
-    Ok(())
+
+    fn run(&mut self, arguments: &Arguments, stop: &AtomicBool) -> Result<(), Failure> {
+        self.compact(false)?;
+        let mut subscriber = Subscriber::connect(settings(arguments)?)?;
+        let every = Duration::from_secs(arguments.compact_every.max(1));
+        let idle = arguments.until_idle.map(Duration::from_secs);
+        let (mut compacted, mut heard) = (Instant::now(), Instant::now());
+        let (mut taken, mut first) = (0, None);
+        while !stop.load(Ordering::Relaxed) && idle.is_none_or(|idle| heard.elapsed() < idle) {
+            let messages = subscriber.receive(TICK);
+            if !messages.is_empty() {
+                first.get_or_insert_with(Instant::now);
+                self.take(&messages)?;
+                subscriber.acknowledge(&messages);
+                heard = Instant::now();
+                taken += messages.len();
+            }
+            if compacted.elapsed() > every && self.compactor.is_idle() {
+                compacted = Instant::now();
+                self.compact(false)?;
+            }
+        }
+        subscriber.leave();
+        // What had to wait for others has none to wait for.
+        self.compact(false)?;
+        self.compact(true)?;
+        self.compactor.wait()?;
+        let seconds = first.map_or(0.0, |first| heard.duration_since(first).as_secs_f64());
+        eprintln!("verge-tmc: {taken} messages taken, the last {seconds:.1} s after the first");
+        Ok(())
+    }
+
+    /// Brings messages to the disk, each where it belongs.
+    fn take(&mut self, messages: &[Arrived]) -> Result<(), Failure> {
+        let now = (now(), Instant::now());
+        let (mut soon, mut later) = (Vec::new(), Vec::new());
+        for message in messages {
+            let payload = &message.payload[..];
+            match self.door.judge((&message.topic, payload), now, &mut self.aside) {
+                Verdict::Soon => soon.push(payload),
+                Verdict::Later => later.push(payload),
+                Verdict::Refused | Verdict::Empty => {}
+            }
+        }
+        for (journal, payloads) in [(&mut self.journal, soon), (&mut self.later, later)] {
+            if !payloads.is_empty() {
+                journal.append(payloads.into_iter())?;
+            }
+            if journal.written() > SEGMENT_BYTES {
+                journal.close_segment();
+            }
+        }
+        Ok(())
+    }
+
+    /// Archives what is closed: the journal, and of the later one the oldest segment or, at the
+    /// end, all.
+    fn compact(&mut self, all: bool) -> Result<(), Failure> {
+        self.compactor.wait()?;
+        for line in self.aside.tell()? {
+            eprintln!("verge-tmc: {line}");
+        }
+        self.journal.close_segment();
+        self.later.close_segment();
+        let soon = self.journal.closed()?;
+        let mut later = self.later.closed()?;
+        if later.is_empty() {
+            self.door.later_is_done();
+        }
+        later.truncate(if all { later.len() } else { 1 });
+        let mut segments = Journal::open(&compact::failed(&self.out, &self.name))?.closed()?;
+        segments.extend(soon);
+        self.compactor.begin(&self.out, &self.name, segments, later)
+    }
+}
+
+/// The time, for times in messages.
+fn now() -> Utc {
+    Utc(jiff::Timestamp::now().as_millisecond())
 }
 
 fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
@@ -121,6 +209,7 @@ fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
         .ok_or_else(|| Failure::Usage(format!("--broker {address:?}: give HOST:PORT")))?;
     let credentials = match (&arguments.user, &arguments.password_file) {
         (Some(user), Some(path)) => {
+            only_the_owner_reads(path)?;
             let text = crate::failure::read_text(path)?;
             Some((user.clone(), text.trim_end_matches(['\r', '\n']).to_owned()))
         }
@@ -133,8 +222,24 @@ fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
     };
     let filters =
         ["density", "replay/density"].map(|kind| format!("{shared}{}/+/{kind}/+", arguments.root));
-    let tls = arguments.ca.as_deref().map(tls::load).transpose()?;
+    let client = arguments.cert.as_deref().zip(arguments.key.as_deref());
+    client.map_or(Ok(()), |(_, key)| only_the_owner_reads(key))?;
+    let tls = arguments.ca.as_deref().map(|ca| tls::load(ca, client)).transpose()?;
+    let is_here = ["localhost", "127.0.0.1", "::1", "[::1]"].contains(&host.as_str());
+    if credentials.is_some() && tls.is_none() && !is_here {
+        eprintln!("verge-tmc: the password goes to {host} in clear: give --ca for TLS");
+    }
     Ok(Settings { host, port, name: arguments.name.clone(), credentials, tls, filters })
+}
+
+/// Refuses a secret that others may read.
+fn only_the_owner_reads(path: &Path) -> Result<(), Failure> {
+    use std::os::unix::fs::PermissionsExt;
+    let mode = std::fs::metadata(path).map_err(|source| Failure::reading(path, source))?;
+    if mode.permissions().mode() & 0o077 == 0 {
+        return Ok(());
+    }
+    Err(Failure::content(path, 0, "others may read it: chmod 600"))
 }
 
 /// The thread that compacts, one run at a time.
@@ -148,18 +253,28 @@ impl Compactor {
         self.running.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Compacts what is closed.
-    fn begin(&mut self, root: &Path, journal: &Journal) -> Result<(), Failure> {
-        self.wait()?;
-        let segments = journal.closed()?;
-        if segments.is_empty() {
+    /// Compacts segments: first all of the one journal, then those of the other.
+    fn begin(
+        &mut self,
+        root: &Path,
+        name: &str,
+        soon: Vec<PathBuf>,
+        later: Vec<PathBuf>,
+    ) -> Result<(), Failure> {
+        if soon.is_empty() && later.is_empty() {
             return Ok(());
         }
-        let root = root.to_owned();
-        let work = move || match compact::compact(&root, &segments) {
-            Ok(done) => say(&done),
-            // The segments stay; the next run takes them up again.
-            Err(failure) => eprintln!("verge-tmc: compaction failed, tried again later: {failure}"),
+        let (root, name) = (root.to_owned(), name.to_owned());
+        let work = move || {
+            for segments in [soon, later].into_iter().filter(|segments| !segments.is_empty()) {
+                match compact::compact(&root, &name, &segments) {
+                    Ok(done) => say(&done),
+                    // The segments stay; the next run takes them up again.
+                    Err(failure) => {
+                        eprintln!("verge-tmc: compaction failed, tried again later: {failure}");
+                    }
+                }
+            }
         };
         let thread = std::thread::Builder::new().name("compact".into()).spawn(work);
         let failed = |source| Failure::writing(Path::new("a thread"), source);
@@ -180,7 +295,10 @@ const NAMED_GAPS: usize = 10;
 
 fn say(done: &Done) {
     let Done { windows, duplicates, rejected, gaps, .. } = done;
-    let missing: i64 = gaps.iter().map(|gap| gap.missing).sum();
+    let missing = gaps.iter().fold(0i64, |sum, gap| sum.saturating_add(gap.missing));
+    for line in &done.told {
+        eprintln!("verge-tmc: {line}");
+    }
     eprintln!(
         "verge-tmc: {windows} windows archived, {duplicates} duplicates, {rejected} rejected, \
          {missing} missing"

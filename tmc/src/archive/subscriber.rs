@@ -3,6 +3,7 @@
 //! Owns the session, which the broker keeps while the archiver is away, the subscriptions
 //! and the acknowledgements, which are given by hand.
 
+use super::door::LARGEST;
 use super::tls::Tls;
 use crate::failure::Failure;
 use rumqttc::{Client, Connection, Event, MqttOptions, Packet, Publish, QoS};
@@ -14,10 +15,13 @@ const START: Duration = Duration::from_secs(10);
 /// Between two attempts after that.
 const RETRY: Duration = Duration::from_millis(500);
 const KEEP_ALIVE: Duration = Duration::from_secs(30);
-/// Largest message, bytes: 8 lanes of 512 cells take less than a tenth of it.
-const LARGEST: usize = 1 << 20;
+/// Largest packet of MQTT, bytes. One that is refused by its size breaks the connection and comes
+/// again with the next: all are taken, and the door refuses what is too large.
+const LARGEST_PACKET: usize = 268_435_455;
 /// Most messages that are journalled with one flush.
 const BATCH: usize = 1000;
+/// The same in bytes.
+const BATCH_BYTES: usize = 4 << 20;
 /// Room for requests: an acknowledgement for each message of a batch, and a few more.
 const REQUESTS: usize = 2 * BATCH;
 /// Longest wait for the last acknowledgements to leave.
@@ -32,6 +36,23 @@ pub(super) struct Settings {
     pub(super) credentials: Option<(String, String)>,
     pub(super) tls: Option<Tls>,
     pub(super) filters: [String; 2],
+}
+
+/// A message, and how it is acknowledged.
+pub(super) struct Arrived {
+    pub(super) topic: String,
+    /// Of one that is too large, its beginning: more than [`LARGEST`] bytes.
+    pub(super) payload: Vec<u8>,
+    publish: Publish,
+}
+
+impl Arrived {
+    fn of(mut publish: Publish) -> Self {
+        // A copy, so that the buffer it came in can go.
+        let payload = publish.payload[..publish.payload.len().min(LARGEST + 1)].to_vec();
+        publish.payload.clear();
+        Self { topic: std::mem::take(&mut publish.topic), payload, publish }
+    }
 }
 
 pub(super) struct Subscriber {
@@ -50,7 +71,7 @@ impl Subscriber {
         options.set_keep_alive(KEEP_ALIVE);
         options.set_clean_session(false);
         options.set_manual_acks(true);
-        options.set_max_packet_size(LARGEST, LARGEST);
+        options.set_max_packet_size(LARGEST_PACKET, LARGEST);
         if let Some((user, password)) = credentials {
             options.set_credentials(user, password);
         }
@@ -79,10 +100,10 @@ impl Subscriber {
     }
 
     /// The messages that are there, waiting for the first at most so long.
-    pub(super) fn receive(&mut self, patience: Duration) -> Vec<Publish> {
-        let mut messages = Vec::new();
+    pub(super) fn receive(&mut self, patience: Duration) -> Vec<Arrived> {
+        let (mut messages, mut bytes) = (Vec::<Arrived>::new(), 0);
         let until = Instant::now() + patience;
-        while messages.len() < BATCH {
+        while messages.len() < BATCH && bytes < BATCH_BYTES {
             // Once there is one, only those that wait already are taken with it.
             let event = if messages.is_empty() {
                 let left = until.saturating_duration_since(Instant::now());
@@ -91,7 +112,12 @@ impl Subscriber {
                 self.connection.try_recv().ok()
             };
             match event {
-                Some(Ok(event)) => messages.extend(self.take(event)),
+                Some(Ok(event)) => {
+                    if let Some(publish) = self.take(event) {
+                        messages.push(Arrived::of(publish));
+                        bytes += messages.last().map_or(0, |message| message.payload.len());
+                    }
+                }
                 Some(Err(error)) => {
                     if std::mem::take(&mut self.connected) {
                         eprintln!("verge-tmc: the connection broke: {error}; trying again");
@@ -127,13 +153,13 @@ impl Subscriber {
     ///
     /// Not where the connection has broken since: the numbers of its packets mean nothing to
     /// the next one, on which the broker sends the messages again.
-    pub(super) fn acknowledge(&mut self, messages: &[Publish]) {
+    pub(super) fn acknowledge(&mut self, messages: &[Arrived]) {
         if !self.connected {
             return;
         }
         for message in messages {
             // One that finds no room comes again and is found to be a duplicate.
-            let _ = self.client.try_ack(message);
+            let _ = self.client.try_ack(&message.publish);
         }
     }
 

@@ -1,8 +1,8 @@
 //! TLS to the broker: the door of the crate `rustls`.
 
 use crate::failure::Failure;
-use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ClientConfig, RootCertStore};
 use std::path::Path;
 use std::sync::Arc;
@@ -10,11 +10,12 @@ use std::sync::Arc;
 /// How to talk to a broker through TLS.
 pub(super) struct Tls(pub(super) Arc<ClientConfig>);
 
-/// TLS that trusts the authorities in a PEM file and no others.
+/// TLS that trusts the authorities in a PEM file and no others, and shows the broker a
+/// certificate where one is given with its key.
 ///
 /// # Errors
 /// [`Failure`] names the file and what is wrong with it.
-pub(super) fn load(ca: &Path) -> Result<Tls, Failure> {
+pub(super) fn load(ca: &Path, client: Option<(&Path, &Path)>) -> Result<Tls, Failure> {
     let text = crate::failure::read_text(ca)?;
     let wrong =
         |reason: String| Failure::content(ca, 0, format!("{reason}; give PEM certificates"));
@@ -30,7 +31,19 @@ pub(super) fn load(ca: &Path) -> Result<Tls, Failure> {
     let config = ClientConfig::builder_with_provider(provider)
         .with_safe_default_protocol_versions()
         .map_err(|error| wrong(error.to_string()))?
-        .with_root_certificates(roots)
-        .with_no_client_auth();
-    Ok(Tls(Arc::new(config)))
+        .with_root_certificates(roots);
+    let Some((certificate, key)) = client else {
+        return Ok(Tls(Arc::new(config.with_no_client_auth())));
+    };
+    let own =
+        |path: &Path, reason: String| Failure::content(path, 0, format!("{reason}; give PEM"));
+    let text = crate::failure::read_text(certificate)?;
+    let chain = CertificateDer::pem_slice_iter(text.as_bytes())
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|error| own(certificate, error.to_string()))?;
+    let text = crate::failure::read_text(key)?;
+    let secret = PrivateKeyDer::from_pem_slice(text.as_bytes())
+        .map_err(|error| own(key, error.to_string()))?;
+    let config = config.with_client_auth_cert(chain, secret);
+    Ok(Tls(Arc::new(config.map_err(|error| own(certificate, error.to_string()))?)))
 }

@@ -14,7 +14,7 @@ pub use queries::BINS;
 pub use summary::{Mean, Summary};
 
 use crate::failure::{Failure, print};
-use crate::store::{self, DAY_MS, Partition};
+use crate::store::{self, DAY_MS, Partition, Rows};
 use crate::whole;
 use engine::Engine;
 use queries::Scope;
@@ -76,19 +76,39 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .enable_all()
         .build()
         .map_err(|error| Failure::Usage(format!("--threads {threads}: {error}")))?;
-    let mut summaries = runtime.block_on(summarise_all(arguments, sites, offset_ms, threads))?;
+    let mut all = runtime.block_on(summarise_all(arguments, sites, offset_ms, threads))?;
+    let summaries = &mut all.summaries;
     summaries.sort_by(|a, b| a.site.cmp(&b.site));
     if summaries.is_empty() {
         let reason = "has no window of that length; leave --window out for the shortest";
-        return Err(Failure::content(&arguments.archive, 0, reason));
+        let none = || Failure::content(&arguments.archive, 0, reason);
+        return Err(all.failed.into_iter().next().unwrap_or_else(none));
     }
-    for (name, bytes) in page::index_files(&summaries) {
+    for (name, bytes) in page::index_files(summaries) {
         whole::write(&arguments.out.join(name), &bytes)?;
     }
     let rows: u64 = summaries.iter().map(|summary| summary.rows).sum();
     let count = summaries.len();
     let index = arguments.out.join("index.html");
-    print(&format!("{count} sites, {rows} rows: {}\n", index.display()))
+    print(&format!("{count} sites, {rows} rows: {}\n", index.display()))?;
+    for failure in &all.failed {
+        eprintln!("verge-tmc: {failure}");
+    }
+    match all.failed.len() {
+        0 => Ok(()),
+        failed => {
+            let reason = format!("{failed} sites or days could not be read; the others are done");
+            Err(Failure::content(&arguments.archive, 0, reason))
+        }
+    }
+}
+
+/// What came of all sites.
+#[derive(Default)]
+struct All {
+    summaries: Vec<Summary>,
+    /// What is wrong with a day or a site; the others are not touched by it.
+    failed: Vec<Failure>,
 }
 
 /// A site with its days.
@@ -100,7 +120,7 @@ async fn summarise_all(
     sites: Vec<Site>,
     offset_ms: i64,
     threads: usize,
-) -> Result<Vec<Summary>, Failure> {
+) -> Result<All, Failure> {
     // Few sites are split, so that no processor is without work; many are one part each.
     let partitions = if arguments.cluster.is_some() {
         CLUSTER_PARTITIONS
@@ -110,30 +130,59 @@ async fn summarise_all(
     let cluster = arguments.cluster.as_deref();
     let engine = Arc::new(Engine::open(&arguments.archive, cluster, partitions).await?);
     let (mut sites, mut running) = (sites.into_iter(), JoinSet::new());
-    let mut summaries = Vec::new();
+    let mut all = All::default();
     loop {
         while let Some((site, days)) = (running.len() < threads).then(|| sites.next()).flatten() {
             let engine = Arc::clone(&engine);
-            let (archive, folder) = (arguments.archive.clone(), arguments.out.join(&site));
+            let archive = arguments.archive.clone();
+            let folder = arguments.out.join("sites").join(&site);
             let ends = [days[0].day, days[days.len() - 1].day];
-            let scope = Scope { site, days: ends, window_s: arguments.window, offset_ms };
+            let (without, window_s) = (Vec::new(), arguments.window);
+            let mut scope = Scope { site, days: ends, without, window_s, offset_ms };
             running.spawn(async move {
-                let summary = match summarise(&engine, scope).await {
-                    Ok(summary) => summary,
+                let mut failed = Vec::new();
+                let mut summary = summarise(&engine, scope.clone()).await;
+                if summary.is_err() {
                     // The engine does not name the file that it could not read.
-                    Err(failure) => return Err(damage(&archive, &days).unwrap_or(failure)),
-                };
-                if summary.is_empty() {
-                    return Ok(None);
+                    let damaged = damage(&archive, &days);
+                    if !damaged.is_empty() && damaged.len() < days.len() {
+                        scope.without = damaged.iter().map(|(day, _)| *day).collect();
+                        failed.extend(damaged.into_iter().map(|(_, failure)| failure));
+                        summary = summarise(&engine, scope).await;
+                    } else if let Some((_, failure)) = damaged.into_iter().next() {
+                        summary = Err(failure);
+                    }
                 }
-                for (name, bytes) in page::site_files(&summary) {
-                    whole::write(&folder.join(name), &bytes)?;
-                }
-                Ok(Some(summary.without_places()))
+                let summary = summary.and_then(|summary| {
+                    if summary.is_empty() {
+                        return Ok(None);
+                    }
+                    for (name, bytes) in page::site_files(&summary) {
+                        whole::write(&folder.join(name), &bytes)?;
+                    }
+                    Ok(Some(summary.without_places()))
+                });
+                (summary, failed)
             });
         }
-        let Some(done) = running.join_next().await else { return Ok(summaries) };
-        summaries.extend(done.expect("no site's task panics")?);
+        let Some(done) = running.join_next().await else { return Ok(all) };
+        match done {
+            Ok((summary, failed)) => {
+                all.failed.extend(failed);
+                match summary {
+                    Ok(summary) => all.summaries.extend(summary),
+                    // Without its cluster no site can be asked, and a full disk takes none.
+                    Err(failure @ (Failure::Cluster { .. } | Failure::Write { .. })) => {
+                        return Err(failure);
+                    }
+                    Err(failure) => all.failed.push(failure),
+                }
+            }
+            Err(panic) => {
+                let reason = format!("a site's page could not be made: {panic}");
+                all.failed.push(Failure::content(&arguments.archive, 0, reason));
+            }
+        }
     }
 }
 
@@ -147,9 +196,14 @@ async fn summarise(engine: &Engine, mut scope: Scope) -> Result<Summary, Failure
     Ok(summary)
 }
 
-/// What is wrong with the first of the files that is not as it should be.
-fn damage(archive: &Path, days: &[Partition]) -> Option<Failure> {
-    days.iter().find_map(|day| store::read(&day.path(archive)).err())
+/// The days whose files are not as they should be, and what is wrong with them.
+fn damage(archive: &Path, days: &[Partition]) -> Vec<(i64, Failure)> {
+    let wrong = |day: &Partition| {
+        let failure = Rows::open(&day.path(archive))
+            .and_then(|mut rows| rows.try_for_each(|row| row.map(drop)));
+        failure.err().map(|failure| (day.day, failure))
+    };
+    days.iter().filter_map(wrong).collect()
 }
 
 /// Sites with their days, as asked for.
@@ -161,7 +215,9 @@ fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
             .map_err(|_| Failure::Usage(format!("--{name} {text:?}: give a day as 2026-01-05")))
     };
     let first = limit(&arguments.from, "from", i64::MIN)?;
-    let last = limit(&arguments.to, "to", i64::MAX)?;
+    // Boxes whose clock was wrong have days that are to come.
+    let tomorrow = jiff::Timestamp::now().as_millisecond() / DAY_MS + 1;
+    let last = limit(&arguments.to, "to", tomorrow)?;
     let mut sites: Vec<Site> = Vec::new();
     for partition in store::partitions(&arguments.archive)? {
         let named = arguments.site.is_empty() || arguments.site.contains(&partition.site);

@@ -15,8 +15,18 @@ const STYLE: &str = "body{font-family:sans-serif;color:#282828;max-width:900px;m
     border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}\
     svg{max-width:100%;height:auto;margin:8px 0}a{color:#325fa0}";
 
+/// Text for HTML, in content and in quoted attributes.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+        .replace('\'', "&#39;")
+}
+
 /// A page with a title and a body.
 fn page(title: &str, body: &str) -> Vec<u8> {
+    let title = escaped(title);
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width\">\n<title>{title}</title>\n\
@@ -29,9 +39,8 @@ fn page(title: &str, body: &str) -> Vec<u8> {
 pub(super) fn site_files(summary: &Summary) -> Vec<File> {
     let mut files = tables(summary);
     let (first, last) = span(summary);
-    // Names of sites are letters, digits and a few signs: nothing to escape.
     let mut body = format!(
-        "<p><a href=\"../index.html\">All sites</a>. {first} to {last} (UTC), windows of {} s, \
+        "<p><a href=\"../../index.html\">All sites</a>. {first} to {last} (UTC), windows of {} s, \
          {} rows. A lighter colour is a higher density; grey is not known.</p>\n",
         summary.window_s.unwrap_or_default(),
         summary.rows
@@ -139,7 +148,7 @@ pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
     let mut day = [Mean::default(); BINS];
     let mut week = vec![[Mean::default(); BINS]; 7];
     for summary in summaries {
-        let site = &summary.site;
+        let (site, name) = (&summary.site, escaped(&summary.site));
         let (first, last) = span(summary);
         let (days, lanes) = (summary.days.len(), summary.lanes().len());
         // Days without a file count as missing.
@@ -155,7 +164,7 @@ pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
             writeln!(csv, "{site},{first},{last},{days},{lanes},{archived:.2},{known:.2},{mean}");
         let _ = writeln!(
             table,
-            "<tr><td><a href=\"{site}/index.html\">{site}</a></td><td>{days}</td><td>{lanes}</td>\
+            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td>{days}</td><td>{lanes}</td>\
              <td>{archived:.1} %</td><td>{known:.1} %</td><td>{mean}</td></tr>"
         );
         for (bin, lanes) in summary.day_by_lane.iter().enumerate() {

@@ -4,6 +4,7 @@
 //! sums and counts: their number grows with lanes, cells, bins and days, not with windows.
 
 use crate::store::{self, DAY_MS};
+use verge_messages::{LONGEST_WINDOW_S, SHORTEST_WINDOW_S};
 
 /// The archive's name in the questions.
 pub(super) const TABLE: &str = "density";
@@ -17,6 +18,10 @@ const EPOCH_WEEKDAY: i64 = 3;
 /// Added to times, so that those before 1970 are not negative and `/` rounds down: whole weeks.
 const PAST_MS: i64 = 7 * DAY_MS * 5000;
 
+/// A density; one that no box measures counts as not known.
+const DENSITY: &str =
+    "(CASE WHEN density_veh_km BETWEEN 0 AND 10000 THEN CAST(density_veh_km AS DOUBLE) END)";
+
 /// What a report is about.
 #[derive(Clone, Debug)]
 pub(super) struct Scope {
@@ -24,6 +29,8 @@ pub(super) struct Scope {
     pub site: String,
     /// First and last day, since 1970, UTC.
     pub days: [i64; 2],
+    /// Days in between whose file cannot be read.
+    pub without: Vec<i64>,
     /// Length of the windows, s; none: all of them.
     pub window_s: Option<i32>,
     /// Local time ahead of UTC.
@@ -32,14 +39,20 @@ pub(super) struct Scope {
 
 impl Scope {
     /// Condition on site, days, lanes and windows. The first two are folders, so that no other
-    /// file is opened; names of sites are letters, digits and a few signs (`crate::message`).
+    /// file is opened. The others pass over what an older archiver let in: what is not a box's.
     fn condition(&self) -> String {
         let [first, last] = self.days.map(store::date);
         let site = self.site.replace('\'', "''");
         let window = self.window_s.map_or(String::new(), |s| format!(" AND window_s = {s}"));
+        let without: String = self
+            .without
+            .iter()
+            .map(|day| format!(" AND date <> '{}'", store::date(*day)))
+            .collect();
         format!(
-            "site = '{site}' AND date BETWEEN '{first}' AND '{last}' \
-             AND lane BETWEEN 1 AND {LANES}{window}"
+            "site = '{site}' AND date BETWEEN '{first}' AND '{last}'{without} \
+             AND lane BETWEEN 1 AND {LANES} AND window_s BETWEEN {SHORTEST_WINDOW_S} AND \
+             {LONGEST_WINDOW_S} AND CAST(\"from\" AS BIGINT) >= 0{window}"
         )
     }
 
@@ -59,7 +72,7 @@ pub(super) fn lanes(scope: &Scope) -> String {
         "SELECT window_s, lane, weekday, bin, day,
             count(*) AS archived, count(density) AS known, sum(density) AS density
         FROM (
-            SELECT window_s, lane, CAST(density_veh_km AS DOUBLE) AS density,
+            SELECT window_s, lane, {DENSITY} AS density,
                 ({local}) / {DAY_MS} % 7 AS weekday, ({local}) % {DAY_MS} / {BIN_MS} AS bin,
                 (CAST(\"from\" AS BIGINT) + {PAST_MS}) / {DAY_MS} - {PAST_MS} / {DAY_MS} AS day
             FROM {TABLE} WHERE {condition} AND cell IS NULL)
@@ -76,9 +89,9 @@ pub(super) fn cells(scope: &Scope) -> String {
         "SELECT lane, position_m, length_m, bin, count(*) AS archived,
             count(density) AS known, sum(density) AS density, min(since) AS first
         FROM (
-            SELECT lane, position_m, length_m, CAST(density_veh_km AS DOUBLE) AS density,
+            SELECT lane, position_m, length_m, {DENSITY} AS density,
                 ({local}) % {DAY_MS} / {BIN_MS} AS bin,
-                CASE WHEN density_veh_km IS NOT NULL THEN CAST(\"from\" AS BIGINT) END AS since
+                CASE WHEN {DENSITY} IS NOT NULL THEN CAST(\"from\" AS BIGINT) END AS since
             FROM {TABLE} WHERE {condition} AND cell IS NOT NULL)
         GROUP BY lane, position_m, length_m, bin"
     )

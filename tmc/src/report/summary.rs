@@ -304,6 +304,7 @@ mod tests {
         let mut scope = Scope {
             site: "a".into(),
             days: [day.day; 2],
+            without: Vec::new(),
             window_s: None,
             offset_ms: 8 * 3_600_000,
         };

@@ -1,14 +1,15 @@
 //! The archive on disk: one Parquet file a site and day.
 //!
 //! `ROOT/site=NAME/date=YYYY-MM-DD/density.parquet`, the layout that Parquet readers know as
-//! Hive partitions; the date is that of the window's beginning in UTC. The first row group
-//! has a row for each lane and window (`cell` and `position_m` are null), the second, where
-//! boxes measure it, one for each cell of a lane. What is not known is null. Names in ROOT
-//! that begin with `_` are the archivers' own.
+//! Hive partitions; the date is that of the window's beginning in UTC. The first row groups
+//! have a row for each lane and window (`cell` and `position_m` are null), those behind them,
+//! where boxes measure it, one for each cell of a lane. What is not known is null. Names in ROOT
+//! that begin with `_` are the archivers' own. A folder that is not the archive's is passed
+//! over, and named.
 
 mod parquet_file;
 
-pub use parquet_file::{arrow_schema, read, write};
+pub use parquet_file::{Rows, arrow_schema, read, write, write_rows};
 
 use crate::failure::Failure;
 use std::path::{Path, PathBuf};
@@ -92,11 +93,18 @@ pub fn date(day: i64) -> String {
 /// Every partition that has a file, by site and day.
 ///
 /// # Errors
-/// [`Failure`] where `root` is not there or a name in it is none of the archive's.
+/// [`Failure`] where `root` is not there.
 pub fn partitions(root: &Path) -> Result<Vec<Partition>, Failure> {
     let mut found = Vec::new();
     for (site, folder) in named(root, "site=")? {
-        found.extend(days(&site, &folder)?);
+        if !crate::message::is_site(&site) {
+            pass_over(&folder, "it has no site's name");
+            continue;
+        }
+        match days(&site, &folder) {
+            Ok(days) => found.extend(days),
+            Err(failure) => eprintln!("verge-tmc: passed over: {failure}"),
+        }
     }
     found.sort();
     Ok(found)
@@ -115,16 +123,23 @@ pub fn site_partitions(root: &Path, site: &str) -> Result<Vec<Partition>, Failur
 fn days(site: &str, folder: &Path) -> Result<Vec<Partition>, Failure> {
     let mut found = Vec::new();
     for (date, folder) in named(folder, "date=")? {
-        let day = format!("{date}T00:00:00Z").parse::<jiff::Timestamp>();
-        let Ok(day) = day else {
-            return Err(Failure::content(&folder, 0, "is no folder of a day: date=YYYY-MM-DD"));
+        // A box whose clock is not set measures in 1970.
+        let day = date.parse::<jiff::civil::Date>().ok().filter(|day| day.year() >= 1970);
+        let Some(day) = day.filter(|day| day.to_string() == date) else {
+            pass_over(&folder, "it is not a day's: date=YYYY-MM-DD");
+            continue;
         };
-        let day = day.as_millisecond() / DAY_MS;
+        let epoch = jiff::civil::Date::constant(1970, 1, 1);
+        let day = day.duration_since(epoch).as_hours() / 24;
         if folder.join(FILE).exists() {
             found.push(Partition { site: site.to_owned(), day });
         }
     }
     Ok(found)
+}
+
+fn pass_over(folder: &Path, reason: &str) {
+    eprintln!("verge-tmc: {:?} is passed over: {reason}", folder.display().to_string());
 }
 
 /// Folders named `prefix` and something, with that something.

@@ -1,7 +1,8 @@
 //! One Parquet file of the archive: the door of the crate `parquet`.
 //!
 //! Owns schema, encodings and row groups. Snappy, dictionaries except for the two rising
-//! columns, no page statistics: readers take whole days.
+//! columns, no page statistics: readers take whole days. Rows come and go some at a time, so
+//! that a day may be larger than memory.
 
 use super::Row;
 use crate::failure::Failure;
@@ -9,7 +10,7 @@ use crate::whole;
 use datafusion::arrow::datatypes::Schema;
 use parquet::arrow::parquet_to_arrow_schema;
 use parquet::basic::{Compression, Encoding};
-use parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_typed_column_reader};
+use parquet::column::reader::{ColumnReaderImpl, get_typed_column_reader};
 use parquet::data_type::{BoolType, DataType, FloatType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::properties::{EnabledStatistics, WriterProperties, WriterVersion};
@@ -18,8 +19,8 @@ use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::parser::parse_message_type;
 use parquet::schema::types::{ColumnPath, SchemaDescriptor};
 use std::fs::File;
-use std::io::{self, Write};
-use std::path::Path;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const SCHEMA: &str = "message density {
@@ -40,60 +41,115 @@ pub fn arrow_schema() -> Schema {
         .expect("each of its types has one in Arrow")
 }
 
+/// Rows of a row group, so that one of them takes some MB of memory.
+const GROUP_ROWS: usize = 1 << 16;
+/// Rows that are read at once.
+const BATCH_ROWS: usize = 1 << 13;
+
 /// Writes rows, sorted by their keys, whole or not at all.
 ///
 /// # Errors
 /// [`Failure::Write`].
 pub fn write(path: &Path, rows: &[Row]) -> Result<(), Failure> {
-    whole::write_with(path, |file| encode(file, rows).map_err(io::Error::other))
+    let mut rows = rows.iter().cloned();
+    write_rows(path, || Ok(rows.next()))
 }
 
-fn encode(file: &mut File, rows: &[Row]) -> Result<(), ParquetError> {
-    let rising = |name: &str| ColumnPath::from(name);
-    let properties = WriterProperties::builder()
-        .set_compression(Compression::SNAPPY)
-        .set_writer_version(WriterVersion::PARQUET_2_0)
-        .set_statistics_enabled(EnabledStatistics::Chunk)
-        .set_column_dictionary_enabled(rising("from"), false)
-        .set_column_encoding(rising("from"), Encoding::DELTA_BINARY_PACKED)
-        .set_column_dictionary_enabled(rising("seq"), false)
-        .set_column_encoding(rising("seq"), Encoding::DELTA_BINARY_PACKED)
-        .build();
-    let schema = Arc::new(parse_message_type(SCHEMA)?);
-    let mut buffer = Vec::new();
-    let mut writer = SerializedFileWriter::new(&mut buffer, schema, Arc::new(properties))?;
-    let cells = rows.partition_point(|row| row.cell.is_none());
-    for rows in [&rows[..cells], &rows[cells..]] {
-        if rows.is_empty() {
-            continue;
-        }
-        let mut group = writer.next_row_group()?;
-        put::<Int32Type>(&mut group, rows, |row| row.window_s)?;
-        put::<Int64Type>(&mut group, rows, |row| row.from_ms)?;
-        put::<Int32Type>(&mut group, rows, |row| row.lane)?;
-        put_known::<Int32Type>(&mut group, rows, |row| row.cell)?;
-        put_known::<FloatType>(&mut group, rows, |row| row.position_m)?;
-        put::<FloatType>(&mut group, rows, |row| row.length_m)?;
-        put_known::<FloatType>(&mut group, rows, |row| row.density)?;
-        put_known::<FloatType>(&mut group, rows, |row| row.se)?;
-        put_known::<FloatType>(&mut group, rows, |row| row.vehicles)?;
-        put_known::<FloatType>(&mut group, rows, |row| row.occupancy)?;
-        put::<Int32Type>(&mut group, rows, |row| row.frames_used)?;
-        put::<Int32Type>(&mut group, rows, |row| row.frames_expected)?;
-        put::<Int32Type>(&mut group, rows, |row| row.status)?;
-        put::<Int64Type>(&mut group, rows, |row| row.seq)?;
-        put::<BoolType>(&mut group, rows, |row| row.clock_synced)?;
-        put_known::<FloatType>(&mut group, rows, |row| row.rel_err)?;
-        group.close()?;
+/// The same with a function that gives one row after the other.
+///
+/// # Errors
+/// [`Failure::Write`], and what `next` returns; an old file is then as it was.
+pub fn write_rows(
+    path: &Path,
+    mut next: impl FnMut() -> Result<Option<Row>, Failure>,
+) -> Result<(), Failure> {
+    let mut broken = None;
+    let written = whole::write_with(path, |file| {
+        let mut buffer = BufWriter::new(file);
+        let mut encode = || -> Result<(), ParquetError> {
+            let mut writer = Writer::begin(&mut buffer)?;
+            while let Some(row) = next().unwrap_or_else(|failure| {
+                broken = Some(failure);
+                None
+            }) {
+                writer.push(row)?;
+            }
+            writer.finish()
+        };
+        encode().map_err(io::Error::other)?;
+        // What was written is not the whole, and must not take the old one's place.
+        if broken.is_some() { Err(io::Error::other("a row is missing")) } else { buffer.flush() }
+    });
+    broken.map_or(written, Err)
+}
+
+/// Writes rows into row groups: the lanes first, then the cells, each in groups of at most
+/// [`GROUP_ROWS`].
+struct Writer<W: Write + Send> {
+    writer: SerializedFileWriter<W>,
+    rows: Vec<Row>,
+}
+
+impl<W: Write + Send> Writer<W> {
+    fn begin(to: W) -> Result<Self, ParquetError> {
+        let rising = |name: &str| ColumnPath::from(name);
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::SNAPPY)
+            .set_writer_version(WriterVersion::PARQUET_2_0)
+            .set_statistics_enabled(EnabledStatistics::Chunk)
+            .set_column_dictionary_enabled(rising("from"), false)
+            .set_column_encoding(rising("from"), Encoding::DELTA_BINARY_PACKED)
+            .set_column_dictionary_enabled(rising("seq"), false)
+            .set_column_encoding(rising("seq"), Encoding::DELTA_BINARY_PACKED)
+            .build();
+        let schema = Arc::new(parse_message_type(SCHEMA)?);
+        let writer = SerializedFileWriter::new(to, schema, Arc::new(properties))?;
+        Ok(Self { writer, rows: Vec::new() })
     }
-    writer.close()?;
-    file.write_all(&buffer).map_err(|error| ParquetError::External(Box::new(error)))
+
+    fn push(&mut self, row: Row) -> Result<(), ParquetError> {
+        let kind = |row: &Row| row.cell.is_some();
+        let is_other = self.rows.last().is_some_and(|last| kind(last) != kind(&row));
+        if is_other || self.rows.len() >= GROUP_ROWS {
+            self.write_group()?;
+        }
+        self.rows.push(row);
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<(), ParquetError> {
+        self.write_group()?;
+        self.writer.close().map(drop)
+    }
+
+    fn write_group(&mut self) -> Result<(), ParquetError> {
+        let rows = std::mem::take(&mut self.rows);
+        if rows.is_empty() {
+            return Ok(());
+        }
+        let (rows, mut group) = (rows.as_slice(), self.writer.next_row_group()?);
+        put::<Int32Type, W>(&mut group, rows, |row| row.window_s)?;
+        put::<Int64Type, W>(&mut group, rows, |row| row.from_ms)?;
+        put::<Int32Type, W>(&mut group, rows, |row| row.lane)?;
+        put_known::<Int32Type, W>(&mut group, rows, |row| row.cell)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.position_m)?;
+        put::<FloatType, W>(&mut group, rows, |row| row.length_m)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.density)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.se)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.vehicles)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.occupancy)?;
+        put::<Int32Type, W>(&mut group, rows, |row| row.frames_used)?;
+        put::<Int32Type, W>(&mut group, rows, |row| row.frames_expected)?;
+        put::<Int32Type, W>(&mut group, rows, |row| row.status)?;
+        put::<Int64Type, W>(&mut group, rows, |row| row.seq)?;
+        put::<BoolType, W>(&mut group, rows, |row| row.clock_synced)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.rel_err)?;
+        group.close().map(drop)
+    }
 }
 
-type Group<'a, 'b> = SerializedRowGroupWriter<'a, &'b mut Vec<u8>>;
-
-fn put<T: DataType>(
-    group: &mut Group<'_, '_>,
+fn put<T: DataType, W: Write + Send>(
+    group: &mut SerializedRowGroupWriter<'_, W>,
     rows: &[Row],
     value: fn(&Row) -> T::T,
 ) -> Result<(), ParquetError> {
@@ -103,8 +159,8 @@ fn put<T: DataType>(
     column.close()
 }
 
-fn put_known<T: DataType>(
-    group: &mut Group<'_, '_>,
+fn put_known<T: DataType, W: Write + Send>(
+    group: &mut SerializedRowGroupWriter<'_, W>,
     rows: &[Row],
     value: fn(&Row) -> Option<T::T>,
 ) -> Result<(), ParquetError> {
@@ -134,70 +190,200 @@ fn damaged(path: &Path, error: &ParquetError) -> Failure {
 /// # Errors
 /// [`Failure`] where it is not there or damaged.
 pub fn read(path: &Path) -> Result<Vec<Row>, Failure> {
-    let reader = open(path)?;
-    let mut rows = Vec::new();
-    for index in 0..reader.num_row_groups() {
-        let group = reader.get_row_group(index).map_err(|error| damaged(path, &error))?;
-        rows.extend(group_rows(&*group).map_err(|error| damaged(path, &error))?);
-    }
-    Ok(rows)
+    Rows::open(path)?.collect()
 }
 
-fn group_rows(group: &dyn RowGroupReader) -> Result<Vec<Row>, ParquetError> {
-    let column = |index: usize| group.get_column_reader(index);
-    let window_s = all::<Int32Type>(column(0)?)?;
-    let from = all::<Int64Type>(column(1)?)?;
-    let lane = all::<Int32Type>(column(2)?)?;
-    let cell = known::<Int32Type>(column(3)?)?;
-    let position = known::<FloatType>(column(4)?)?;
-    let length = all::<FloatType>(column(5)?)?;
-    let density = known::<FloatType>(column(6)?)?;
-    let se = known::<FloatType>(column(7)?)?;
-    let vehicles = known::<FloatType>(column(8)?)?;
-    let occupancy = known::<FloatType>(column(9)?)?;
-    let frames_used = all::<Int32Type>(column(10)?)?;
-    let frames_expected = all::<Int32Type>(column(11)?)?;
-    let status = all::<Int32Type>(column(12)?)?;
-    let seq = all::<Int64Type>(column(13)?)?;
-    let clock_synced = all::<BoolType>(column(14)?)?;
-    let rel_err = known::<FloatType>(column(15)?)?;
-    let row = |i: usize| Row {
-        window_s: window_s[i],
-        from_ms: from[i],
-        lane: lane[i],
-        cell: cell[i],
-        position_m: position[i],
-        length_m: length[i],
-        density: density[i],
-        se: se[i],
-        vehicles: vehicles[i],
-        occupancy: occupancy[i],
-        frames_used: frames_used[i],
-        frames_expected: frames_expected[i],
-        status: status[i],
-        seq: seq[i],
-        clock_synced: clock_synced[i],
-        rel_err: rel_err[i],
-    };
-    Ok((0..window_s.len()).map(row).collect())
+/// The rows of a file, in its order; some are in memory at a time.
+pub struct Rows {
+    path: PathBuf,
+    reader: SerializedFileReader<File>,
+    next_group: usize,
+    columns: Option<Columns>,
+    batch: std::vec::IntoIter<Row>,
+}
+
+impl Rows {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// [`Failure`] where it is not there, damaged or another's.
+    pub fn open(path: &Path) -> Result<Self, Failure> {
+        Ok(Self {
+            path: path.to_owned(),
+            reader: open(path)?,
+            next_group: 0,
+            columns: None,
+            batch: Vec::new().into_iter(),
+        })
+    }
+
+    /// Reads on; false at the end.
+    fn fill(&mut self) -> Result<bool, ParquetError> {
+        loop {
+            if let Some(columns) = &mut self.columns {
+                let rows = columns.read(BATCH_ROWS)?;
+                if !rows.is_empty() {
+                    self.batch = rows.into_iter();
+                    return Ok(true);
+                }
+            }
+            if self.next_group >= self.reader.num_row_groups() {
+                return Ok(false);
+            }
+            let group = self.reader.get_row_group(self.next_group)?;
+            self.columns = Some(Columns::of(&*group)?);
+            self.next_group += 1;
+        }
+    }
+}
+
+impl Iterator for Rows {
+    type Item = Result<Row, Failure>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if let Some(row) = self.batch.next() {
+            return Some(Ok(row));
+        }
+        match self.fill() {
+            Ok(true) => self.batch.next().map(Ok),
+            Ok(false) => None,
+            Err(error) => {
+                // There is nothing to read behind the damage.
+                (self.columns, self.next_group) = (None, usize::MAX);
+                Some(Err(damaged(&self.path, &error)))
+            }
+        }
+    }
+}
+
+type Column<T> = ColumnReaderImpl<T>;
+
+/// The columns of a row group, read side by side.
+struct Columns {
+    window_s: Column<Int32Type>,
+    from: Column<Int64Type>,
+    lane: Column<Int32Type>,
+    cell: Column<Int32Type>,
+    position: Column<FloatType>,
+    length: Column<FloatType>,
+    density: Column<FloatType>,
+    se: Column<FloatType>,
+    vehicles: Column<FloatType>,
+    occupancy: Column<FloatType>,
+    frames_used: Column<Int32Type>,
+    frames_expected: Column<Int32Type>,
+    status: Column<Int32Type>,
+    seq: Column<Int64Type>,
+    clock_synced: Column<BoolType>,
+    rel_err: Column<FloatType>,
+}
+
+impl Columns {
+    fn of(group: &dyn RowGroupReader) -> Result<Self, ParquetError> {
+        fn column<T: DataType>(
+            group: &dyn RowGroupReader,
+            index: usize,
+        ) -> Result<Column<T>, ParquetError> {
+            Ok(get_typed_column_reader(group.get_column_reader(index)?))
+        }
+        Ok(Self {
+            window_s: column(group, 0)?,
+            from: column(group, 1)?,
+            lane: column(group, 2)?,
+            cell: column(group, 3)?,
+            position: column(group, 4)?,
+            length: column(group, 5)?,
+            density: column(group, 6)?,
+            se: column(group, 7)?,
+            vehicles: column(group, 8)?,
+            occupancy: column(group, 9)?,
+            frames_used: column(group, 10)?,
+            frames_expected: column(group, 11)?,
+            status: column(group, 12)?,
+            seq: column(group, 13)?,
+            clock_synced: column(group, 14)?,
+            rel_err: column(group, 15)?,
+        })
+    }
+
+    /// The next rows, at most so many.
+    fn read(&mut self, most: usize) -> Result<Vec<Row>, ParquetError> {
+        let window_s = values(&mut self.window_s, most)?.0;
+        let count = window_s.len();
+        let from = all(&mut self.from, count)?;
+        let lane = all(&mut self.lane, count)?;
+        let cell = known(&mut self.cell, count)?;
+        let position = known(&mut self.position, count)?;
+        let length = all(&mut self.length, count)?;
+        let density = known(&mut self.density, count)?;
+        let se = known(&mut self.se, count)?;
+        let vehicles = known(&mut self.vehicles, count)?;
+        let occupancy = known(&mut self.occupancy, count)?;
+        let frames_used = all(&mut self.frames_used, count)?;
+        let frames_expected = all(&mut self.frames_expected, count)?;
+        let status = all(&mut self.status, count)?;
+        let seq = all(&mut self.seq, count)?;
+        let clock_synced = all(&mut self.clock_synced, count)?;
+        let rel_err = known(&mut self.rel_err, count)?;
+        let row = |i: usize| Row {
+            window_s: window_s[i],
+            from_ms: from[i],
+            lane: lane[i],
+            cell: cell[i],
+            position_m: position[i],
+            length_m: length[i],
+            density: density[i],
+            se: se[i],
+            vehicles: vehicles[i],
+            occupancy: occupancy[i],
+            frames_used: frames_used[i],
+            frames_expected: frames_expected[i],
+            status: status[i],
+            seq: seq[i],
+            clock_synced: clock_synced[i],
+            rel_err: rel_err[i],
+        };
+        Ok((0..count).map(row).collect())
+    }
 }
 
 /// Values of a column, and the levels that say which are known (empty: all are).
-fn levels<T: DataType>(column: ColumnReader) -> Result<(Vec<T::T>, Vec<i16>), ParquetError> {
-    let mut column: ColumnReaderImpl<T> = get_typed_column_reader(column);
+fn values<T: DataType>(
+    column: &mut Column<T>,
+    most: usize,
+) -> Result<(Vec<T::T>, Vec<i16>), ParquetError> {
     let (mut values, mut known) = (Vec::new(), Vec::new());
-    while column.read_records(1 << 16, Some(&mut known), None, &mut values)?.0 > 0 {}
+    let mut count = 0;
+    while count < most {
+        let read = column.read_records(most - count, Some(&mut known), None, &mut values)?.0;
+        if read == 0 {
+            break;
+        }
+        count += read;
+    }
     Ok((values, known))
 }
 
-fn all<T: DataType>(column: ColumnReader) -> Result<Vec<T::T>, ParquetError> {
-    Ok(levels::<T>(column)?.0)
+/// So many values of a column in which all are known.
+fn all<T: DataType>(column: &mut Column<T>, count: usize) -> Result<Vec<T::T>, ParquetError> {
+    let (values, _) = values::<T>(column, count)?;
+    if values.len() == count { Ok(values) } else { Err(short()) }
 }
 
-fn known<T: DataType>(column: ColumnReader) -> Result<Vec<Option<T::T>>, ParquetError> {
-    let (values, levels) = levels::<T>(column)?;
+/// So many values of a column in which some may not be known.
+fn known<T: DataType>(
+    column: &mut Column<T>,
+    count: usize,
+) -> Result<Vec<Option<T::T>>, ParquetError> {
+    let (values, levels) = values::<T>(column, count)?;
     let mut values = values.into_iter();
-    Ok(levels.iter().map(|&level| if level > 0 { values.next() } else { None }).collect())
+    let all: Vec<_> =
+        levels.iter().map(|&level| if level > 0 { values.next() } else { None }).collect();
+    if all.len() == count { Ok(all) } else { Err(short()) }
+}
+
+fn short() -> ParquetError {
+    ParquetError::General("its columns have different lengths".into())
 }
 
 #[cfg(test)]
@@ -239,6 +425,30 @@ mod tests {
         rows.sort_by_key(Row::key);
         write(&path, &rows).unwrap();
         assert_eq!(read(&path).unwrap(), rows);
+    }
+
+    #[test]
+    fn a_day_of_many_row_groups_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.parquet");
+        let most = 2 * GROUP_ROWS as i64 + 7;
+        let mut rows = (0..most).map(|i| row(i * 60_000, 1 + (i % 2) as i32, None));
+        write_rows(&path, || Ok(rows.next())).unwrap();
+        let mut expected = (0..most).map(|i| row(i * 60_000, 1 + (i % 2) as i32, None));
+        for row in Rows::open(&path).unwrap() {
+            assert_eq!(row.unwrap(), expected.next().unwrap());
+        }
+        assert!(expected.next().is_none());
+        // A row that cannot be had leaves the old file.
+        let gone = || Failure::content(Path::new("x"), 0, "is gone");
+        let mut count = 0;
+        let failed = write_rows(&path, || {
+            count += 1;
+            if count < 9 { Ok(Some(row(0, 1, None))) } else { Err(gone()) }
+        });
+        assert_eq!(failed.unwrap_err().to_string(), gone().to_string());
+        assert_eq!(read(&path).unwrap().len() as i64, most);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

@@ -90,9 +90,10 @@ pub fn publish(port: u16, name: &str, messages: &[(String, String)], pause: Dura
     let _ = client.try_disconnect();
 }
 
-/// A density message of two lanes with two cells each; `minute` from 0 on 5 January 2026.
+/// A density message of two lanes with two cells each; `minute` from 0 two days ago at midnight
+/// UTC, so that some windows are long past and none is to come.
 pub fn message(site: &str, seq: u64, minute: u64) -> String {
-    let from = jiff_minute(minute);
+    let from = time(minute);
     let lane = |number: u64| {
         let density = (minute % 50) as f64 + number as f64;
         serde_json::json!({"lane": number, "direction": "away", "density_veh_km": density,
@@ -101,13 +102,15 @@ pub fn message(site: &str, seq: u64, minute: u64) -> String {
             "status": "oK", "cells": {"length_m": 50.0, "density_veh_km": [density, density]}})
     };
     serde_json::json!({"schema": 1, "site": site, "seq": seq, "window_s": 60, "from": from,
-        "to": jiff_minute(minute + 1), "clock_synced": true, "lanes": [lane(1), lane(2)],
+        "to": time(minute + 1), "clock_synced": true, "lanes": [lane(1), lane(2)],
         "calibration": {"id": "a", "sha256": "0".repeat(64), "rel_err": 0.02},
         "model": {"name": "m", "sha256": "0".repeat(64)}})
     .to_string()
 }
 
-fn jiff_minute(minute: u64) -> String {
-    let (day, minute) = (5 + minute / 1440, minute % 1440);
-    format!("2026-01-{day:02}T{:02}:{:02}:00.000Z", minute / 60, minute % 60)
+fn time(minute: u64) -> String {
+    const DAY_MS: i64 = 86_400_000;
+    let now = jiff::Timestamp::now().as_millisecond();
+    let begin = now - now.rem_euclid(DAY_MS) - 2 * DAY_MS;
+    verge_messages::rfc3339(begin + minute as i64 * 60_000)
 }

@@ -5,13 +5,17 @@
 mod broker;
 mod common;
 
-use broker::{free_port, message, mosquitto, mosquitto_with, publish};
+use broker::{flood, free_port, message, mosquitto, mosquitto_with, publish};
 use common::{Numbers, failure, stderr, text, tmc};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::Permissions;
+use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
 use std::time::Duration;
 use verge_tmc::store;
 
@@ -20,7 +24,7 @@ fn archiver(port: u16, out: &Path, name: &str, more: &[&str]) -> Child {
         .args(["archive", "--broker", &format!("127.0.0.1:{port}"), "--out", text(out)])
         .args(["--compact-every", "1", "--name", name])
         .args(more)
-        .stderr(Stdio::null())
+        .stderr(Stdio::piped())
         .spawn()
         .expect("the program starts")
 }
@@ -221,7 +225,7 @@ fn peak_mb(process: u32) -> Option<f64> {
 }
 
 /// The largest message that is right: 264 rows from 3 KB, at a minute that many share.
-fn large(site: &str, seq: u64, minute: u64) -> String {
+fn large(site: &str, seq: u64, minute: u64) -> Vec<u8> {
     let mut value: serde_json::Value =
         serde_json::from_str(&message(site, seq, minute)).expect("JSON");
     let lane = value["lanes"][0].clone();
@@ -233,56 +237,96 @@ fn large(site: &str, seq: u64, minute: u64) -> String {
         lane
     });
     value["lanes"] = lanes.collect();
-    value.to_string()
+    value.to_string().into_bytes()
 }
 
-/// One box sends the largest messages as fast as it can, each twice and some contradicting,
-/// beside others; for 4 s, or for a minute with VERGE_LONG=1.
+/// Yesterday's, in minutes as [`message`] has them.
+const NOON: u64 = 1440 + 720;
+
+/// Counts the compactions that a program tells of.
+fn count_compactions(child: &mut Child) -> Arc<AtomicUsize> {
+    let count = Arc::new(AtomicUsize::new(0));
+    let (lines, counted) = (BufReader::new(child.stderr.take().expect("piped")), count.clone());
+    std::thread::spawn(move || {
+        for line in lines.lines().map_while(Result::ok) {
+            let is_one = line.contains("windows archived") && !line.contains("later ones");
+            counted.fetch_add(usize::from(is_one), Ordering::SeqCst);
+            eprintln!("{line}");
+        }
+    });
+    count
+}
+
+/// One box sends the largest messages as fast as it can, each many times and some contradicting,
+/// and some of 50 MB (250), beside 1,000 others; for 5 s, or for two minutes with VERGE_LONG=1.
 #[test]
-fn a_flood_of_one_box_takes_bounded_memory_and_loses_no_window_of_others() {
-    let Some(broker) = mosquitto() else { return };
+fn a_flood_of_one_box_takes_bounded_memory_and_delays_no_window_of_others() {
+    let Some(broker) = mosquitto_with("max_inflight_messages 1000\n") else { return };
     let folder = tempfile::tempdir().expect("a folder");
-    archive(broker.port, folder.path());
-    let long = std::env::var_os("VERGE_LONG").is_some_and(|value| value == "1");
-    let flood = Duration::from_secs(if long { 60 } else { 4 });
-    let sites: Vec<String> =
-        (0..if long { 1000 } else { 100 }).map(|n| format!("box{n}")).collect();
-    let names: Vec<&str> = sites.iter().map(String::as_str).collect();
-    let mut child = archiver(broker.port, folder.path(), "verge-tmc-1", &["--until-idle", "3"]);
-    let port = broker.port;
+    let (root, port) = (folder.path(), broker.port);
+    archive(port, root);
+    let is_long = std::env::var_os("VERGE_LONG").is_some_and(|value| value == "1");
+    let (time, minutes) = if is_long { (120, 40) } else { (5, 4) };
+    let time = Duration::from_secs(time);
+    let sites: Vec<String> = (0..1000).map(|n| format!("box{n}")).collect();
+    let mut child = archiver(port, root, "verge-tmc-1", &["--until-idle", "3"]);
+    let compactions = count_compactions(&mut child);
     let evil = std::thread::spawn(move || {
-        let (begun, mut sent) = (std::time::Instant::now(), 0u64);
-        while begun.elapsed() < flood {
-            let batch: Vec<_> = (0..500)
-                .map(|n| {
-                    let minute = (sent + n) / 3 % 2880;
-                    let payload = large("evil", 1 + (sent + n) % 2, minute);
-                    ("verge/evil/density/60s".to_owned(), payload)
+        let mut payloads: Vec<_> =
+            (0..5000).map(|n| large("evil", 1 + n % 2, n / 3 % 2880)).collect();
+        payloads.insert(500, vec![b'x'; if is_long { 250 } else { 50 } << 20]);
+        flood(port, "verge/evil/density/60s", &payloads, time)
+    });
+    // When the broker had a minute's last window, in compactions.
+    let (told, minutes_sent) = mpsc::channel();
+    let (counted, names) = (compactions.clone(), sites.clone());
+    let honest = std::thread::spawn(move || {
+        for minute in 0..minutes {
+            let all: Vec<_> = names
+                .iter()
+                .map(|site| {
+                    (format!("verge/{site}/density/60s"), message(site, minute + 1, NOON + minute))
                 })
                 .collect();
-            publish(port, "evil", &batch, Duration::ZERO);
-            sent += 500;
+            publish(port, "boxes", &all, Duration::ZERO);
+            let _ = told.send(counted.load(Ordering::SeqCst));
+            std::thread::sleep(time / (minutes as u32 + 1));
         }
-        sent
     });
-    let minutes = 5;
-    let all = messages(&names, minutes, &mut Numbers(5));
-    let pause = flood / (2 * all.len() as u32);
-    publish(port, "boxes", &all, pause);
-    let mut peak = 0f64;
+    let (mut peak, mut waiting, mut latest) = (0f64, VecDeque::new(), 0);
+    let mut seen = 0;
     while child.try_wait().expect("it runs").is_none() {
         peak = peak.max(peak_mb(child.id()).unwrap_or_default());
+        waiting.extend(minutes_sent.try_iter());
+        // All of a minute is there when the last that was sent is.
+        let there = windows(root, sites.last().expect("there are some"));
+        let now = compactions.load(Ordering::SeqCst);
+        while seen < there {
+            let Some(sent) = waiting.pop_front() else { break };
+            latest = latest.max(now - sent);
+            seen += 1;
+        }
         std::thread::sleep(Duration::from_millis(20));
     }
     let sent = evil.join().expect("all was sent");
-    eprintln!("{sent} messages of one box, {} of others, {peak:.0} MB", all.len());
-    assert!(sent >= 500 && peak > 10.0 && peak < 256.0, "{sent} messages, {peak} MB");
-    let found = contents(folder.path());
-    for site in names {
+    honest.join().expect("all was sent");
+    eprintln!("{sent} messages of one box, {peak:.0} MB, {latest} compactions until a window");
+    assert!(sent >= 500 && peak > 10.0 && peak < 512.0, "{sent} messages, {peak} MB");
+    // The one that runs when a window comes, the one that takes it, and one more.
+    assert!(seen as u64 == minutes && latest <= 3, "{seen} minutes, {latest} compactions");
+    let found = contents(root);
+    for site in &sites {
         let windows = &found[site];
         assert_eq!(windows.len() as u64, minutes, "{site} has lost windows");
         assert!(windows.values().all(|rows| *rows == ROWS), "{site} has lost or doubled rows");
     }
+}
+
+/// How many windows of a site are archived.
+fn windows(root: &Path, site: &str) -> usize {
+    let Ok(days) = store::site_partitions(root, site) else { return 0 };
+    let rows = |day: &store::Partition| store::read(&day.path(root)).expect("a whole file").len();
+    days.iter().map(rows).sum::<usize>() / ROWS
 }
 
 #[test]

@@ -140,7 +140,8 @@ fn one_bad_site_day_or_file_costs_its_own_page() {
         let bytes = std::fs::read(&path).expect("a file");
         std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writing a file");
     }
-    let report = ["report", "--archive", text(&archive), "--out", text(&out("report"))];
+    let made = out("report");
+    let report = ["report", "--archive", text(&archive), "--out", text(&made)];
     let (code, said) = failure(&report);
     assert_eq!(code, 65, "{said}");
     for named in ["date=2026-01-05/density.parquet: is damaged", "site=lost", "2 sites or days"] {

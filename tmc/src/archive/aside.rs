@@ -125,6 +125,22 @@ impl Aside {
     }
 }
 
+/// Moves a file into a folder under a name that no other has: `NAME-1.ENDING` and so on; where
+/// to.
+///
+/// # Errors
+/// [`Failure::Write`].
+pub fn move_into(folder: &Path, file: &Path, name: &str, ending: &str) -> Result<PathBuf, Failure> {
+    let free = (1..)
+        .map(|number| folder.join(format!("{name}-{number}.{ending}")))
+        .find(|path| !path.exists())
+        .expect("there is always another number");
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::rename(file, &free))
+        .map_err(|source| Failure::writing(&free, source))?;
+    Ok(free)
+}
+
 /// Foreign text for people: without control characters, cut.
 pub(super) fn shown(text: &str) -> String {
     let mut shown: String =

@@ -6,7 +6,7 @@
 //! archive, is set aside and costs its own windows alone. A lock on the archive lets several
 //! archivers share it.
 
-use super::aside::Aside;
+use super::aside::{self, Aside};
 use super::gaps::{self, Gap};
 use super::journal::{Journal, Segment};
 use super::merge::{self, Merged, Window};
@@ -226,11 +226,8 @@ impl Work<'_> {
         let name = |path: Option<&Path>| {
             path.and_then(Path::file_stem).unwrap_or_default().to_string_lossy().into_owned()
         };
-        let own = format!("{}-{}.journal", name(segment.parent()), name(Some(segment)));
-        let kept = self.root.join("_rejected").join(own);
-        fs::create_dir_all(self.root.join("_rejected"))
-            .and_then(|()| fs::rename(segment, &kept))
-            .map_err(|source| Failure::writing(&kept, source))?;
+        let own = format!("{}-{}", name(segment.parent()), name(Some(segment)));
+        let kept = aside::move_into(&self.root.join("_rejected"), segment, &own, "journal")?;
         let told = format!("{damaged} bytes of the journal could not be read: {}", kept.display());
         self.done.told.push(told);
         Ok(())
@@ -417,13 +414,18 @@ mod tests {
         // A bit of the second record's length.
         let second = 8 + messages[0].len();
         bytes[second + 1] ^= 1;
-        fs::write(&segment, &bytes).unwrap();
-        let done = compact(root, "a", std::slice::from_ref(&segment)).unwrap();
-        assert_eq!((done.windows, done.duplicates, done.rejected), (8, 0, 0));
-        assert_eq!(done.gaps.len(), 1, "one window is missing, and that is told");
-        assert!(done.told[0].contains("bytes of the journal could not be read"), "{:?}", done.told);
-        assert_eq!(fs::read(root.join("_rejected/a-00000001.journal")).unwrap(), bytes);
-        assert!(journal.closed().unwrap().is_empty());
+        // After a restart another segment may have the same number.
+        for (round, windows) in [(1, 8), (2, 0)] {
+            fs::write(&segment, &bytes).unwrap();
+            let done = compact(root, "a", std::slice::from_ref(&segment)).unwrap();
+            assert_eq!((done.windows, done.duplicates, done.rejected), (windows, 8 - windows, 0));
+            assert_eq!(done.gaps.len(), 1, "one window is missing, and that is told");
+            let said = &done.told[0];
+            assert!(said.contains("bytes of the journal could not be read"), "{said}");
+            let kept = format!("_rejected/a-00000001-{round}.journal");
+            assert_eq!(fs::read(root.join(kept)).unwrap(), bytes);
+            assert!(journal.closed().unwrap().is_empty());
+        }
     }
 
     #[test]

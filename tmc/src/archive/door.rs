@@ -21,10 +21,13 @@ pub(super) const LARGEST: usize = 64 << 10;
 const AHEAD: Duration = Duration::from_secs(600);
 /// A window that ended longer ago is not urgent.
 const URGENT: Duration = Duration::from_secs(2 * 86_400);
-/// Rows that a site may send for good: eight lanes of 32 cells each 10 s are 26 a second.
+/// Rows that a site may send for ever: eight lanes of 32 cells each 10 s are 26 a second.
 const ROWS_PER_S: f64 = 200.0;
 /// Rows on top of that: what a box with four lanes of 12 cells and minutes has in two days.
 const BURST_ROWS: f64 = 150_000.0;
+/// Bytes that count as a row where a message has few rows for its size; a lane of 12 cells has 27
+/// a row, one without cells some 200.
+const BYTES_PER_ROW: usize = 128;
 /// Bytes that wait for a site in the later journal.
 const LATER_BYTES: u64 = 128 << 20;
 /// Most sites that are kept apart; with more of them those that sent least lately are forgotten.
@@ -81,12 +84,44 @@ impl Door {
             aside.refuse("?", "a topic that is not a site's", payload);
             return Verdict::Refused;
         };
-        match self.examine(site, payload, now) {
-            Ok(window) => self.admit(site, &window, payload, (now, instant), aside),
-            Err(reason) => {
-                aside.refuse(site, &reason, payload);
-                Verdict::Refused
-            }
+        let verdict = self.judge_site(site, payload, (now, instant));
+        verdict.unwrap_or_else(|reason| {
+            aside.refuse(site, &reason, payload);
+            Verdict::Refused
+        })
+    }
+
+    fn judge_site(
+        &mut self,
+        site: &str,
+        payload: &[u8],
+        (now, instant): (Utc, Instant),
+    ) -> Result<Verdict, String> {
+        if !message::is_site(site) {
+            return Err("letters, digits, '-', '_' and '.' make a site's name".into());
+        }
+        let reading = (payload.len() / BYTES_PER_ROW).max(1) as f64;
+        let bytes = payload.len() as u64;
+        let account = self.account(site, instant);
+        let is_full = account.later_bytes + bytes > LATER_BYTES;
+        let full = || format!("the site has {} MB waiting already", LATER_BYTES >> 20);
+        if is_full && account.rows < reading {
+            // Not even read: a box may send more than can be.
+            return Err(full());
+        }
+        let window = self.examine(site, payload, now)?;
+        let rows = (message::rows(&window) as f64).max(reading);
+        let is_urgent = window.to.0 > now.0 - URGENT.as_millis() as i64;
+        let account = self.account(site, instant);
+        if is_urgent && account.rows >= rows {
+            account.rows -= rows;
+            Ok(Verdict::Soon)
+        } else if is_full {
+            account.rows -= reading;
+            Err(full())
+        } else {
+            account.later_bytes += bytes;
+            Ok(Verdict::Later)
         }
     }
 
@@ -110,34 +145,7 @@ impl Door {
         Ok(window)
     }
 
-    fn admit(
-        &mut self,
-        site: &str,
-        window: &Density,
-        payload: &[u8],
-        (now, instant): (Utc, Instant),
-        aside: &mut Aside,
-    ) -> Verdict {
-        let account = self.account(site, instant);
-        let earned = instant.duration_since(account.since).as_secs_f64() * ROWS_PER_S;
-        account.rows = (account.rows + earned).min(BURST_ROWS);
-        account.since = instant;
-        let rows = message::rows(window) as f64;
-        let is_urgent = window.to.0 > now.0 - URGENT.as_millis() as i64;
-        if is_urgent && account.rows >= rows {
-            account.rows -= rows;
-            return Verdict::Soon;
-        }
-        let bytes = payload.len() as u64;
-        if account.later_bytes + bytes > LATER_BYTES {
-            let reason = format!("the site has {} MB waiting already", LATER_BYTES >> 20);
-            aside.refuse(site, &reason, payload);
-            return Verdict::Refused;
-        }
-        account.later_bytes += bytes;
-        Verdict::Later
-    }
-
+    /// What a site has, with what it earned since the last time.
     fn account(&mut self, site: &str, instant: Instant) -> &mut Account {
         if self.accounts.len() >= MOST_SITES && !self.accounts.contains_key(site) {
             // A site that has its burst back and nothing waiting is as good as a new one.
@@ -159,7 +167,11 @@ impl Door {
             }
         }
         let new = Account { rows: BURST_ROWS, since: instant, later_bytes: 0 };
-        self.accounts.entry(site.to_owned()).or_insert(new)
+        let account = self.accounts.entry(site.to_owned()).or_insert(new);
+        let earned = instant.duration_since(account.since).as_secs_f64() * ROWS_PER_S;
+        account.rows = (account.rows + earned).min(BURST_ROWS);
+        account.since = instant;
+        account
     }
 
     /// The later journal has been archived as far as it went.
@@ -234,10 +246,13 @@ mod tests {
         let evil = message("evil", 1, "2026-01-05T08:00:00.000Z");
         let rows = message::rows(&message::read(evil.as_bytes()).unwrap());
         assert_eq!(rows, 8);
+        let padded = evil.clone() + &" ".repeat(8 * BYTES_PER_ROW);
         let soon = (BURST_ROWS as usize) / rows;
-        for _ in 0..soon {
+        for _ in 0..soon - 2 {
             assert_eq!(scene.judge("evil", &evil, Duration::ZERO), Verdict::Soon);
         }
+        // What has few rows for its size counts by its size.
+        assert_eq!(scene.judge("evil", &padded, Duration::ZERO), Verdict::Soon);
         assert_eq!(scene.judge("evil", &evil, Duration::ZERO), Verdict::Later);
         let honest = message("honest", 1, "2026-01-05T08:00:00.000Z");
         assert_eq!(scene.judge("honest", &honest, Duration::ZERO), Verdict::Soon);
@@ -250,7 +265,9 @@ mod tests {
         let account = scene.door.accounts.get_mut("evil").unwrap();
         account.later_bytes = LATER_BYTES;
         assert_eq!(scene.judge("evil", &evil, second), Verdict::Refused);
-        assert!(scene.reason().contains("has 128 MB waiting already"));
+        assert_eq!(scene.judge("evil", "unread", second), Verdict::Refused);
+        let reason = scene.reason();
+        assert!(reason.contains("2 messages refused, the first: the site has 128 MB"), "{reason}");
         scene.door.later_is_done();
         assert_eq!(scene.judge("evil", &evil, second), Verdict::Later);
     }

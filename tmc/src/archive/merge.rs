@@ -5,12 +5,12 @@
 //! beginning and length counts. The same again is a duplicate; another one is a conflict, which
 //! is kept aside and told. A file that cannot be read is set aside, and its day begins anew.
 
+use super::aside;
 use super::gaps::{Edges, Gap, Track};
 use crate::failure::Failure;
 use crate::store::{self, Partition, Row, Rows};
 use std::collections::BTreeSet;
 use std::collections::btree_map::{BTreeMap, Entry};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Lengths of windows in one day: a box has six at most, and may be configured anew.
@@ -165,16 +165,9 @@ fn write(
 
 /// Moves a file that cannot be read out of the archive; where to.
 fn set_aside(root: &Path, partition: &Partition) -> Result<PathBuf, Failure> {
-    let folder = partition.path(&root.join("_damaged"));
-    let folder = folder.parent().unwrap_or(root).to_owned();
-    fs::create_dir_all(&folder).map_err(|source| Failure::writing(&folder, source))?;
-    let free = (1..)
-        .map(|number| folder.join(format!("density-{number}.parquet")))
-        .find(|path| !path.exists())
-        .expect("there is always another number");
-    let moved = fs::rename(partition.path(root), &free);
-    moved.map_err(|source| Failure::writing(&free, source))?;
-    Ok(free)
+    let path = partition.path(root);
+    let damaged = partition.path(&root.join("_damaged"));
+    aside::move_into(damaged.parent().unwrap_or(root), &path, "density", "parquet")
 }
 
 #[cfg(test)]
@@ -182,6 +175,7 @@ mod tests {
     use super::*;
     use crate::archive::compact::of_window;
     use crate::message::{self, tests::message};
+    use std::fs;
 
     fn day() -> Partition {
         Partition { site: "a".into(), day: 20_458 }

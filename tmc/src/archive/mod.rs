@@ -111,7 +111,10 @@ impl Archiver {
         let (out, name) = (arguments.out.clone(), arguments.name.clone());
         let folder = out.join("_journal").join(&name);
         Ok(Self {
-            door: Door::new(&arguments.root, Duration::from_secs(arguments.oldest * 86_400)),
+            door: Door::new(
+                &arguments.root,
+                Duration::from_secs(arguments.oldest.saturating_mul(86_400)),
+            ),
             aside: Aside::open(&out, &name)?,
             journal: Journal::open(&folder)?,
             later: Journal::open(&folder.join("later"))?,
@@ -266,9 +269,12 @@ impl Compactor {
         }
         let (root, name) = (root.to_owned(), name.to_owned());
         let work = move || {
-            for segments in [soon, later].into_iter().filter(|segments| !segments.is_empty()) {
+            for (which, segments) in [("", soon), ("later ones: ", later)] {
+                if segments.is_empty() {
+                    continue;
+                }
                 match compact::compact(&root, &name, &segments) {
-                    Ok(done) => say(&done),
+                    Ok(done) => say(which, &done),
                     // The segments stay; the next run takes them up again.
                     Err(failure) => {
                         eprintln!("verge-tmc: compaction failed, tried again later: {failure}");
@@ -293,14 +299,14 @@ impl Compactor {
 /// At most so many gaps are named.
 const NAMED_GAPS: usize = 10;
 
-fn say(done: &Done) {
+fn say(which: &str, done: &Done) {
     let Done { windows, duplicates, rejected, gaps, .. } = done;
     let missing = gaps.iter().fold(0i64, |sum, gap| sum.saturating_add(gap.missing));
     for line in &done.told {
         eprintln!("verge-tmc: {line}");
     }
     eprintln!(
-        "verge-tmc: {windows} windows archived, {duplicates} duplicates, {rejected} rejected, \
+        "verge-tmc: {which}{windows} windows archived, {duplicates} duplicates, {rejected} rejected, \
          {missing} missing"
     );
     for Gap { site, window_s, after_ms, missing } in gaps.iter().take(NAMED_GAPS) {

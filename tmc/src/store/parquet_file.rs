@@ -20,6 +20,7 @@ use parquet::schema::parser::parse_message_type;
 use parquet::schema::types::{ColumnPath, SchemaDescriptor};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -173,7 +174,8 @@ fn put_known<T: DataType, W: Write + Send>(
 
 fn open(path: &Path) -> Result<SerializedFileReader<File>, Failure> {
     let file = File::open(path).map_err(|source| Failure::reading(path, source))?;
-    let reader = SerializedFileReader::new(file).map_err(|error| damaged(path, &error))?;
+    let reader = guarded(|| SerializedFileReader::new(file));
+    let reader = reader.map_err(|error| damaged(path, &error))?;
     if reader.metadata().file_metadata().schema_descr().num_columns() == COLUMNS {
         return Ok(reader);
     }
@@ -183,6 +185,12 @@ fn open(path: &Path) -> Result<SerializedFileReader<File>, Failure> {
 fn damaged(path: &Path, error: &ParquetError) -> Failure {
     let reason = format!("is damaged: {error}; restore it, or move it away");
     Failure::content(path, 0, reason)
+}
+
+/// What a damaged file makes the crate do: return an error, or panic.
+fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, ParquetError> {
+    let panicked = |_| Err(ParquetError::General("its reader panicked".into()));
+    catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(panicked)
 }
 
 /// Reads all rows of a file.
@@ -244,7 +252,7 @@ impl Iterator for Rows {
         if let Some(row) = self.batch.next() {
             return Some(Ok(row));
         }
-        match self.fill() {
+        match guarded(|| self.fill()) {
             Ok(true) => self.batch.next().map(Ok),
             Ok(false) => None,
             Err(error) => {
@@ -460,5 +468,27 @@ mod tests {
         std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
         assert!(read(&path).unwrap_err().to_string().contains("is damaged"));
         assert!(matches!(read(&folder.path().join("b")), Err(Failure::Missing { .. })));
+    }
+
+    #[test]
+    fn whatever_is_damaged_is_an_error_or_rows_and_never_a_panic() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.parquet");
+        let rows: Vec<Row> = (0..40).map(|i| row(i * 60_000, 1, (i > 20).then_some(3))).collect();
+        write(&path, &rows).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        let said = std::panic::take_hook();
+        std::panic::set_hook(Box::new(|_| {}));
+        let (mut damaged, mut panicked) = (0, 0);
+        for bit in (0..whole.len() * 8).step_by(37) {
+            let mut wrong = whole.clone();
+            wrong[bit / 8] ^= 1 << (bit % 8);
+            std::fs::write(&path, &wrong).unwrap();
+            let read = read(&path);
+            damaged += usize::from(read.is_err());
+            panicked += usize::from(read.is_err_and(|e| e.to_string().contains("panicked")));
+        }
+        std::panic::set_hook(said);
+        assert!(damaged > 100 && panicked > 0, "{damaged}, {panicked}");
     }
 }

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
+use std::io::Write;
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -67,6 +68,7 @@ pub fn mosquitto_with(lines: &str) -> Option<Mosquitto> {
 pub fn publish(port: u16, name: &str, messages: &[(String, String)], pause: Duration) {
     let mut options = MqttOptions::new(name, "127.0.0.1", port);
     options.set_keep_alive(Duration::from_secs(30));
+    options.set_max_packet_size(1 << 20, 1 << 28);
     let (client, mut connection) = Client::new(options, 64);
     let wanted = messages.len();
     let all = messages.to_vec();
@@ -88,6 +90,43 @@ pub fn publish(port: u16, name: &str, messages: &[(String, String)], pause: Dura
     thread.join().expect("all was sent");
     // Nothing is left to say.
     let _ = client.try_disconnect();
+}
+
+/// Publishes one message after the other at QoS 1, from the first again after the last, as fast
+/// as the broker reads, for that long; how many.
+pub fn flood(port: u16, topic: &str, payloads: &[Vec<u8>], time: Duration) -> u64 {
+    let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("a connection");
+    // MQTT 3.1.1: CONNECT as "evil" with a clean session and no keep-alive.
+    stream.write_all(b"\x10\x10\x00\x04MQTT\x04\x02\x00\x00\x00\x04evil").expect("sent");
+    let mut answers = stream.try_clone().expect("a second handle");
+    let reader = std::thread::spawn(move || std::io::copy(&mut answers, &mut std::io::sink()));
+    let packets: Vec<Vec<u8>> = payloads.iter().map(|payload| packet(topic, payload)).collect();
+    let (until, mut sent) = (Instant::now() + time, 0);
+    while Instant::now() < until {
+        stream.write_all(&packets[sent as usize % packets.len()]).expect("a broker that reads");
+        sent += 1;
+    }
+    // DISCONNECT: the broker has read all that stands before it when it ends the connection.
+    stream.write_all(b"\xe0\x00").expect("sent");
+    reader.join().expect("it only reads").expect("an end");
+    sent
+}
+
+/// A PUBLISH packet of QoS 1; its number may be always the same, for it is free once answered,
+/// and a broker that has not answered takes it for another message all the same.
+fn packet(topic: &str, payload: &[u8]) -> Vec<u8> {
+    let mut packet = vec![0x32];
+    let mut rest = 2 + topic.len() + 2 + payload.len();
+    while rest >= 0x80 {
+        packet.push(rest as u8 | 0x80);
+        rest >>= 7;
+    }
+    packet.push(rest as u8);
+    packet.extend((topic.len() as u16).to_be_bytes());
+    packet.extend(topic.as_bytes());
+    packet.extend(1u16.to_be_bytes());
+    packet.extend(payload);
+    packet
 }
 
 /// A density message of two lanes with two cells each; `minute` from 0 two days ago at midnight

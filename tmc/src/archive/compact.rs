@@ -99,10 +99,8 @@ pub fn compact(root: &Path, name: &str, segments: &[PathBuf]) -> Result<Done, Fa
     for (index, path) in segments.iter().enumerate() {
         let segment = Segment::read(path)?;
         let mut records = segment.records();
-        let mut number = 0;
-        while let Some(payload) = records.next() {
-            work.take(&mut batch, Place { segment: index, record: number }, payload);
-            number += 1;
+        for (record, payload) in records.by_ref().enumerate() {
+            work.take(&mut batch, Place { segment: index, record }, payload);
             if batch.rows >= AT_ONCE_ROWS {
                 work.merge(std::mem::take(&mut batch))?;
             }

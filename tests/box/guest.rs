@@ -77,8 +77,16 @@ fn ok(outcome: i32, what: &str) {
     assert!(outcome >= 0, "{what}: {}", Error::last_os_error());
 }
 
+/// How many have v4l2loopback's devices open, this program among them.
+fn users() -> u32 {
+    let count = std::fs::read_to_string("/sys/module/v4l2loopback/refcnt");
+    count.ok().and_then(|count| count.trim().parse().ok()).unwrap_or(0)
+}
+
 /// Plays pictures for ever as a camera's MJPG: each stands for `milliseconds`, in which it is
-/// sent as often as a camera would.
+/// sent as often as a camera would. Who opens the camera finds a picture in the middle of its
+/// time, so that one who takes a picture in every `milliseconds` from then on takes each once,
+/// up to half of them early or late.
 fn play(device: &mut File, [width, height, milliseconds]: [u32; 3], files: &[&str]) -> ! {
     let pictures: Vec<Vec<u8>> = files
         .iter()
@@ -96,9 +104,15 @@ fn play(device: &mut File, [width, height, milliseconds]: [u32; 3], files: &[&st
     };
     // SAFETY: the request takes a v4l2_format, which lives through the call.
     ok(unsafe { ioctl(device.as_raw_fd(), S_FMT, &raw mut format) }, "VIDIOC_S_FMT");
-    let begun = Instant::now();
+    let half = Duration::from_millis(u64::from(milliseconds) / 2);
+    let (mut opened, mut known) = (Instant::now(), users());
     loop {
-        let number = begun.elapsed().as_millis() / u128::from(milliseconds);
+        let users = users();
+        if users > known {
+            opened = Instant::now();
+        }
+        known = users;
+        let number = (opened.elapsed() + half).as_millis() / u128::from(milliseconds);
         let picture = &pictures[number as usize % pictures.len()];
         device.write_all(picture).unwrap_or_else(|error| panic!("a picture: {error}"));
         std::thread::sleep(FRAME_TIME);

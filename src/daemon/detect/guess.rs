@@ -1,6 +1,7 @@
 //! Which head a model seems to have, from the shapes of its outputs.
 
-use super::sidecar::{HeadKind, HeadSpec, Sidecar};
+use super::head_key::{HeadKind, HeadSpec};
+use super::sidecar::Sidecar;
 
 /// Strides of detectors with three levels, and with four.
 const THREE: [usize; 3] = [8, 16, 32];

@@ -3,7 +3,8 @@
 //! Owns the decodings. Only cells whose score passes the threshold are decoded. A score or a box
 //! that is not a number is a fault of the net, not an empty road.
 
-use super::sidecar::{HeadKind, HeadSpec, Sidecar};
+use super::head_key::{HeadKind, HeadSpec};
+use super::sidecar::Sidecar;
 use crate::daemon::frame::{Detection, PixelBox};
 use crate::units::VehicleClass;
 use std::ops::Range;

@@ -1,8 +1,8 @@
 //! What a model file is, before there is a sidecar: for `verge-detector check`.
 
 use super::engine::{Engine, Precision, Share};
+use super::head_key::HeadSpec;
 use super::load::{Refused, Wanted};
-use super::sidecar::HeadSpec;
 use super::{ModelError, guess};
 use crate::wire::hex;
 use sha2::{Digest, Sha256};

@@ -7,6 +7,7 @@
 mod engine;
 mod guess;
 mod head;
+mod head_key;
 mod inspect;
 mod letterbox;
 mod load;
@@ -17,8 +18,9 @@ mod self_test;
 mod sidecar;
 
 pub use engine::{Precision, Share};
+pub use head_key::{HeadKind, HeadSpec};
 pub use inspect::{Inspection, inspect};
-pub use sidecar::{HeadKind, HeadSpec, Sidecar, SidecarError, Step};
+pub use sidecar::{Sidecar, SidecarError, Step};
 
 use super::frame::{Detection, Picture, Region};
 use crate::lane::Name;

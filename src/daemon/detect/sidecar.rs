@@ -2,6 +2,7 @@
 //!
 //! Owns its keys, its checks, and the list of models that verge knows without one.
 
+use super::head_key::HeadKey;
 use crate::density::Counting;
 use crate::evidence::Evidence;
 use crate::units::VehicleClass;
@@ -165,128 +166,6 @@ impl Input {
             let channel = if self.channels == Channels::Rgb { plane } else { 2 - plane };
             (channel, self.mean[plane], 1.0 / self.std[plane])
         })
-    }
-}
-
-/// How a model's output is read.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct HeadSpec {
-    /// Which decoding.
-    pub kind: HeadKind,
-    /// Cell sizes of the output's levels, px, in their order.
-    pub strides: Vec<usize>,
-    /// Bins of each side's distance (NanoDet-Plus and PicoDet).
-    pub bins: usize,
-    /// Score columns.
-    pub classes: usize,
-}
-
-/// The decodings that verge knows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum HeadKind {
-    /// Scores after a sigmoid, then four distances as distributions over bins: `[1, n, c + 4b]`.
-    #[serde(alias = "nanodet", alias = "nanodet_plus")]
-    NanodetPlus,
-    /// The same with cells about their middle: scores by level, then distances by level.
-    Picodet,
-    /// Centre, size as logarithm, objectness, scores in cells: `[1, n, 5 + c]`.
-    Yolox,
-    /// The same in pixels.
-    #[serde(alias = "yolox_decoded")]
-    YoloxDecoded,
-    /// Centre, size, objectness, scores in pixels: `[1, n, 5 + c]`.
-    Yolov5,
-    /// YOLOv8 and v11: centre, size, scores in pixels: `[1, 4 + c, n]`.
-    #[serde(alias = "yolov11", alias = "yolo11")]
-    Yolov8,
-    /// Suppressed in the net: edges, score, class: `[1, n, 6]`.
-    #[serde(alias = "end-to-end", alias = "end_to_end")]
-    End2end,
-}
-
-impl HeadKind {
-    /// As it is written in a sidecar.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::NanodetPlus => "nanodet-plus",
-            Self::Picodet => "picodet",
-            Self::Yolox => "yolox",
-            Self::YoloxDecoded => "yolox-decoded",
-            Self::Yolov5 => "yolov5",
-            Self::Yolov8 => "yolov8",
-            Self::End2end => "end2end",
-        }
-    }
-
-    fn strides(self) -> &'static [usize] {
-        match self {
-            Self::NanodetPlus | Self::Picodet => &[8, 16, 32, 64],
-            _ => &[8, 16, 32],
-        }
-    }
-}
-
-/// The key `head`: a kind, with what is not as usual.
-#[derive(Clone, Debug)]
-pub struct HeadKey {
-    kind: HeadKind,
-    strides: Option<Vec<usize>>,
-    bins: Option<usize>,
-    classes: Option<usize>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct HeadTable {
-    kind: HeadKind,
-    strides: Option<Vec<usize>>,
-    bins: Option<usize>,
-    classes: Option<usize>,
-}
-
-impl<'de> Deserialize<'de> for HeadKey {
-    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl<'de> serde::de::Visitor<'de> for Visitor {
-            type Value = HeadKey;
-
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("the name of a head, or a table with its kind")
-            }
-
-            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<HeadKey, E> {
-                use serde::de::IntoDeserializer;
-                let kind = HeadKind::deserialize(name.into_deserializer())?;
-                Ok(HeadKey { kind, strides: None, bins: None, classes: None })
-            }
-
-            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<HeadKey, A::Error> {
-                let from = serde::de::value::MapAccessDeserializer::new(map);
-                let HeadTable { kind, strides, bins, classes } = HeadTable::deserialize(from)?;
-                Ok(HeadKey { kind, strides, bins, classes })
-            }
-        }
-        from.deserialize_any(Visitor)
-    }
-}
-
-impl HeadKey {
-    /// With what the sidecar leaves out, as outputs of these shapes have it.
-    pub(super) fn spec(&self, outputs: &[Vec<usize>]) -> HeadSpec {
-        let kind = self.kind;
-        let strides = self.strides.clone().unwrap_or_else(|| kind.strides().to_vec());
-        let bins = self.bins.unwrap_or(8);
-        let axis = |index: usize| outputs.first().and_then(|shape| shape.get(index)).copied();
-        let (a, b) = (axis(1).unwrap_or(0), axis(2).unwrap_or(0));
-        let classes = self.classes.unwrap_or(match kind {
-            HeadKind::NanodetPlus => b.saturating_sub(4 * bins),
-            HeadKind::Picodet => b,
-            HeadKind::Yolox | HeadKind::YoloxDecoded | HeadKind::Yolov5 => b.saturating_sub(5),
-            HeadKind::Yolov8 => a.min(b).saturating_sub(4),
-            HeadKind::End2end => 0,
-        });
-        HeadSpec { kind, strides, bins, classes }
     }
 }
 
@@ -470,61 +349,5 @@ impl Sidecar {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_known_sidecars_are_right() {
-        for (name, text) in KNOWN {
-            Sidecar::parse(text, Path::new(name)).expect(name);
-        }
-    }
-
-    #[test]
-    fn wrong_values_are_named() {
-        let good = KNOWN[0].1;
-        for (from, to, key) in [
-            ("width_px = 640", "width_px = 0", "input"),
-            ("bins = 8", "bins = 1", "head.bins"),
-            ("index = 2\n", "index = 80\n", "class.index"),
-            ("iou = 0.6", "iou = 60", "thresholds"),
-            ("57.375", "0.0", "input.std"),
-            ("57.375", "inf", "input.std"),
-            ("103.53", "nan", "input.mean"),
-            ("score = 0.3", "score = nan", "thresholds"),
-            ("\"nanodet-plus\"", "\"nanodet-minus\"", "nanodet-minus"),
-            ("bins = 8", "boxes = 8", "boxes"),
-            ("licence", "license", "license"),
-            ("\"car\"", "\"tram\"", "tram"),
-        ] {
-            let bad = good.replacen(from, to, 1);
-            assert_ne!(bad, good, "{from}");
-            let error = Sidecar::parse(&bad, Path::new("x.toml")).expect_err(key).to_string();
-            assert!(error.contains(key) && error.contains("x.toml"), "{error}");
-        }
-    }
-
-    #[test]
-    fn a_head_is_a_word_a_table_or_left_out() {
-        let good = KNOWN[0].1;
-        let (start, rest) = good.split_once("[head]").expect("a table");
-        let (_, rest) = rest.split_once("\n\n").expect("a table behind it");
-        let without = format!("{start}{rest}");
-        assert!(Sidecar::parse(&without, Path::new("x.toml")).expect("right").head.is_none());
-        for (name, kind) in [
-            ("yolox_decoded", HeadKind::YoloxDecoded),
-            ("yolox-decoded", HeadKind::YoloxDecoded),
-            ("yolov8", HeadKind::Yolov8),
-            ("nanodet", HeadKind::NanodetPlus),
-            ("end2end", HeadKind::End2end),
-        ] {
-            let text = format!("head = \"{name}\"\n{without}");
-            let sidecar = Sidecar::parse(&text, Path::new("x.toml")).expect(name);
-            let spec = sidecar.head.expect("named").spec(&[vec![1, 84, 6300]]);
-            assert_eq!(spec.kind, kind);
-            if kind == HeadKind::Yolov8 {
-                assert_eq!(spec.classes, 80);
-            }
-        }
-    }
-}
+#[path = "sidecar_tests.rs"]
+mod tests;

@@ -11,6 +11,7 @@
 //! joint      one camera, one road, all vehicles at once
 //! road       marks, lanes, the lane table
 //! report     pictures of all of it
+//! desk       the page on which all of it is done by hand
 //! ```
 //!
 //! The crate owns everything offline, between labels and the lane table file. It does not
@@ -20,6 +21,7 @@
 pub mod baselines;
 pub mod bodies;
 pub mod camera;
+pub mod desk;
 pub mod error;
 pub mod files;
 pub mod joint;

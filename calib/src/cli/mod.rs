@@ -5,6 +5,7 @@
 
 mod calibrate;
 mod compare;
+mod desk;
 mod report;
 mod table;
 mod verify;
@@ -36,6 +37,8 @@ pub enum Command {
     Report(report::Arguments),
     /// Make the lane table from a calibration and lane polygons.
     Table(table::Arguments),
+    /// Do all of it by hand on a page in the browser, on this machine alone.
+    Desk(desk::Arguments),
 }
 
 /// Runs one command.
@@ -46,6 +49,7 @@ pub fn run(command: Command) -> Result<()> {
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
         Command::Table(arguments) => table::run(&arguments),
+        Command::Desk(arguments) => desk::run(&arguments),
     }
 }
 

@@ -8,12 +8,12 @@ use crate::error::{Error, Result};
 use crate::model::KEY_POINT_COUNT;
 use crate::vehicle::{KeyPoint, Vehicle};
 use nalgebra::Vector2;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// One labelme file, as far as it is used here.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct LabelFile {
     /// Width of the labelled picture, px.
@@ -29,7 +29,7 @@ pub struct LabelFile {
 }
 
 /// One labelme shape.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Shape {
     /// The label as written.
     pub label: String,

@@ -127,6 +127,39 @@ pub fn table(
     Ok(bytes)
 }
 
+/// Whether lanes claim the same pixels.
+///
+/// # Errors
+/// Names the first two that do.
+pub fn require_apart(lanes: &[DrawnLane], image_size: [u32; 2]) -> Result<()> {
+    let [width, height] = image_size.map(|px| px as usize);
+    let boxes: Vec<_> = lanes.iter().map(|l| bounds(&l.polygon)).collect();
+    let (mut own, mut shared) = (vec![0; lanes.len()], Vec::new());
+    for v in 0..height {
+        for u in 0..width {
+            let uv = Vector2::new(u as f64 + 0.5, v as f64 + 0.5);
+            let near =
+                |k: &usize| (0..2).all(|a| (boxes[*k][a][0]..=boxes[*k][a][1]).contains(&uv[a]));
+            let mut inside =
+                (0..lanes.len()).filter(near).filter(|&k| contains(&lanes[k].polygon, uv));
+            if let Some(first) = inside.next() {
+                own[first] += 1;
+                shared.extend(inside.map(|other| (first, other)));
+            }
+        }
+    }
+    check_overlaps(lanes, &own, &shared)
+}
+
+/// Least and largest coordinate along each axis, px.
+fn bounds(polygon: &[Vector2<f64>]) -> [[f64; 2]; 2] {
+    [0, 1].map(|axis| {
+        polygon.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], p| {
+            [low.min(p[axis]), high.max(p[axis])]
+        })
+    })
+}
+
 /// What stands in every cell, in row order.
 fn cells(camera: &Camera, lanes: &[DrawnLane]) -> Result<Vec<Option<Place>>> {
     let [width, height] = camera.image_size.map(|px| px as usize);
@@ -149,7 +182,8 @@ fn cells(camera: &Camera, lanes: &[DrawnLane]) -> Result<Vec<Option<Place>>> {
         .collect();
     let overlaps: Vec<(usize, usize)> = rows.iter().flat_map(|(_, o)| o).copied().collect();
     let cells: Vec<Option<Place>> = rows.into_iter().flat_map(|(row, _)| row).collect();
-    check_overlaps(lanes, &cells, &overlaps)?;
+    let own = |lane: &DrawnLane| cells.iter().flatten().filter(|p| p.lane == lane.id).count();
+    check_overlaps(lanes, &lanes.iter().map(own).collect::<Vec<_>>(), &overlaps)?;
     Ok(cells)
 }
 
@@ -160,13 +194,9 @@ fn place(camera: &Camera, lane: &DrawnLane, uv: Vector2<f64>) -> Option<Place> {
     Some(Place { lane: lane.id, s_m: station.s_m as f32, span_m })
 }
 
-fn check_overlaps(
-    lanes: &[DrawnLane],
-    cells: &[Option<Place>],
-    overlaps: &[(usize, usize)],
-) -> Result<()> {
-    for (k, lane) in lanes.iter().enumerate() {
-        let own = cells.iter().flatten().filter(|p| p.lane == lane.id).count();
+/// `own` is the number of each lane's cells.
+fn check_overlaps(lanes: &[DrawnLane], own: &[usize], overlaps: &[(usize, usize)]) -> Result<()> {
+    for (k, (lane, &own)) in lanes.iter().zip(own).enumerate() {
         if own == 0 {
             let problem = "covers no pixel centre of the picture; draw it larger".into();
             return Err(Error::Lane { lane: lane.id.get().to_string(), problem });

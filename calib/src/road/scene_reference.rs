@@ -175,7 +175,19 @@ pub fn reference(frames: &[PathBuf], ignored: &[Vec<Vector2<f64>>]) -> Result<(G
     let Some((first, others)) = frames.split_first() else {
         return Err(Error::Usage("no frame to make a reference of".into()));
     };
-    let (rgb, width, height) = picture(first)?;
+    reference_of(&first.display().to_string(), picture(first)?, others, ignored)
+}
+
+/// The same in the pose of a picture at hand, RGB with its size, called `name` in messages.
+///
+/// # Errors
+/// As [`reference`].
+pub fn reference_of(
+    name: &str,
+    (rgb, width, height): (Vec<u8>, u32, u32),
+    others: &[PathBuf],
+    ignored: &[Vec<Vector2<f64>>],
+) -> Result<(Grid, Reference)> {
     let mut eye = eye(width, height);
     eye.look(&rgb);
     let empty = {
@@ -210,10 +222,9 @@ pub fn reference(frames: &[PathBuf], ignored: &[Vec<Vector2<f64>>]) -> Result<(G
             let seen = search(&known, &eye);
             if !seen.is_sure() {
                 return Err(Error::Usage(format!(
-                    "{} does not show the scene of {} (significance {:.1}): leave it out, or \
+                    "{} does not show the scene of {name} (significance {:.1}): leave it out, or \
                      give frames of one preset",
                     path.display(),
-                    first.display(),
                     seen.significance
                 )));
             }

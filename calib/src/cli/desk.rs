@@ -1,0 +1,77 @@
+//! `mvcalib desk`: the page in the browser.
+//!
+//! Owns finding the pictures, the detector and its model. Does not own the page nor the work.
+
+use super::print;
+use mvcalib::desk::server::Desk;
+use mvcalib::desk::site::Site;
+use mvcalib::desk::traffic::{DETECTIONS, Detector, Traffic};
+use mvcalib::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Where the model lies, from the working directory and in the package.
+const MODELS: [&str; 2] =
+    ["models/verge_nanodet_640x480.toml", "/usr/share/verge/models/verge_nanodet_640x480.toml"];
+
+/// Arguments of `desk`.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Folder with pictures of one camera, or with a folder `frames` of them.
+    #[arg(value_name = "FOLDER", required_unless_present = "frames")]
+    folder: Option<PathBuf>,
+    /// The same, by name.
+    #[arg(long, value_name = "DIR", conflicts_with = "folder")]
+    frames: Option<PathBuf>,
+    /// Where the site is saved and opened again [default: the folder's `site`].
+    #[arg(long, value_name = "DIR")]
+    site: Option<PathBuf>,
+    /// Port on loopback; a free one by default.
+    #[arg(long, default_value_t = 0)]
+    port: u16,
+    /// Model of the detector, for its vehicles in the lanes and for `verge.toml`.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// The program `verge`; by default beside this one, or on the path.
+    #[arg(long, value_name = "FILE")]
+    verge: Option<PathBuf>,
+    /// Boxes of the pictures that `verge detect` wrote before.
+    #[arg(long, value_name = "FILE")]
+    detections: Option<PathBuf>,
+}
+
+/// Runs `desk` until it is stopped.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let folder = arguments.folder.as_ref().or(arguments.frames.as_ref());
+    let folder = folder.ok_or_else(|| Error::Usage("give a folder of pictures".into()))?;
+    let site = Site::of(folder, arguments.site.as_deref())?;
+    let saved = site.file(DETECTIONS);
+    let at_hand = arguments.detections.clone().or_else(|| saved.is_file().then_some(saved));
+    let detector = arguments.detector()?;
+    let traffic = Traffic::new(detector.clone(), at_hand.as_deref())?;
+    let desk = Desk::bind(site, arguments.port, detector, traffic)?;
+    print(&desk.address());
+    eprintln!("open this address in a browser; Ctrl-C ends the desk");
+    desk.serve();
+    Ok(())
+}
+
+impl Arguments {
+    /// The detector, where both its program and its model are there.
+    fn detector(&self) -> Result<Option<Detector>> {
+        let there = |path: &PathBuf| path.is_file();
+        if let Some(missing) = [&self.model, &self.verge].into_iter().flatten().find(|p| !there(p))
+        {
+            return Err(Error::Usage(format!("there is no file {}", missing.display())));
+        }
+        let model =
+            self.model.clone().or_else(|| MODELS.map(PathBuf::from).into_iter().find(there));
+        let beside = std::env::current_exe().ok().and_then(|p| Some(p.parent()?.join("verge")));
+        let program = self.verge.clone().or(beside.filter(there)).or_else(on_path);
+        Ok(program.zip(model).map(|(program, model)| Detector { program, model }))
+    }
+}
+
+fn on_path() -> Option<PathBuf> {
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path).map(|p| p.join("verge")).find(|p| Path::is_file(p))
+}

@@ -1,0 +1,394 @@
+// The desk: its steps, its keys, and what is shown when.
+
+import { byId, el, fill, percent } from "./elements.js";
+import * as lanes from "./lanes.js";
+import { ERRORS } from "./paint.js";
+import * as pictures from "./pictures.js";
+import * as road from "./road.js";
+import * as save from "./save.js";
+import * as server from "./server.js";
+import { Stage } from "./stage.js";
+import { Store } from "./store.js";
+import { Hand, moveHandle, remove, handles } from "./tools.js";
+import * as traffic from "./traffic.js";
+
+/** @typedef {import("./types.js").Px} Px */
+/** @typedef {import("./types.js").Handle} Handle */
+/** @typedef {import("./types.js").Selection} Selection */
+
+/**
+ * What a click does.
+ * @typedef {Object} Tool
+ * @property {string} name
+ * @property {string} key
+ * @property {string} colour
+ * @property {"" | Handle["kind"]} takes the points that it takes in place of a click
+ * @property {string} hint
+ * @property {boolean} [closes]
+ * @property {(at: Px, hand: Hand, event: PointerEvent) => void} click
+ * @property {(hand: Hand) => void} [finish]
+ */
+
+/**
+ * One step of the way.
+ * @typedef {Object} Step
+ * @property {string} name
+ * @property {(desk: Desk) => Tool[]} tools
+ * @property {Handle["kind"][]} movable
+ * @property {(desk: Desk) => (Node | string | null | undefined | false)[]} panel
+ * @property {(desk: Desk, c: CanvasRenderingContext2D, placed: import("./stage.js").Placed) => void} paint
+ * @property {(desk: Desk) => string} hint
+ * @property {(desk: Desk) => boolean} done
+ * @property {(desk: Desk) => void} [enter]
+ * @property {(desk: Desk, key: string) => boolean} [key]
+ */
+
+/** @type {Step[]} */
+const STEPS = [pictures.step, road.step, lanes.step, traffic.step, save.step];
+/** Time after a change until it is measured, ms. */
+const SOON_MS = 40;
+
+export class Desk {
+  /** @param {import("./types.js").Site} site */
+  constructor(site) {
+    this.site = site;
+    this.store = new Store(site.drawing);
+    /** @type {import("./types.js").Look | null} */
+    this.look = null;
+    this.moved = site.moved;
+    this.hand = new Hand(this);
+    this.stage = new Stage(/** @type {HTMLCanvasElement} */ (byId("canvas")), this.hand);
+    this.stage.size = site.image_size;
+    this.stage.painters.push((c, placed) => {
+      this.step.paint(this, c, placed);
+      this.hand.paint(c, placed);
+    });
+    this.at = 0;
+    /** @type {Tool[]} */
+    this.tools = [];
+    /** @type {Tool | null} */
+    this.tool = null;
+    /** @type {Selection} */
+    this.selection = null;
+    /** The frame that is shown; `null` for the picture without traffic. @type {number | null} */
+    this.frame = null;
+    this.shownOld = false;
+    this.magnifier = true;
+    this.isLooking = false;
+    this.isStale = true;
+    this.failure = "";
+    /** What single steps keep. @type {Record<string, any>} */
+    this.kept = {};
+    this.store.onChange(() => this.changed());
+    this.listen();
+  }
+
+  get step() {
+    return STEPS[this.at];
+  }
+
+  movable() {
+    return new Set(this.step.movable);
+  }
+
+  /** @param {number} at */
+  go(at) {
+    this.at = at;
+    this.selection = null;
+    this.hand.pending = [];
+    this.tools = this.step.tools(this);
+    this.tool = this.tools[0] ?? null;
+    this.step.enter?.(this);
+    this.render();
+  }
+
+  /** @param {Tool | null} tool */
+  take(tool) {
+    this.tool = tool;
+    this.hand.pending = [];
+    this.render();
+  }
+
+  /** @param {Selection} selection */
+  select(selection) {
+    this.selection = selection;
+    this.render();
+  }
+
+  /** What lies under the mouse, where nothing is drawn. @param {Px} at @returns {Selection} */
+  under(at) {
+    return this.step === lanes.step ? lanes.under(this, at) : null;
+  }
+
+  /** @param {Px} at */
+  hover(at) {
+    if (this.step === lanes.step) lanes.hover(this, at);
+  }
+
+  /**
+   * Where a point goes: onto what is drawn already, in the step of the lanes.
+   * @param {Px} at @param {MouseEvent} event @param {Handle} [held]
+   * @returns {Px}
+   */
+  snapped(at, event, held) {
+    if (this.step !== lanes.step || event.altKey) return at;
+    return lanes.snapped(this, at, held);
+  }
+
+  changed() {
+    this.isStale = true;
+    document.body.dataset.calm = "false";
+    this.render();
+    clearTimeout(this.kept.soon);
+    this.kept.soon = setTimeout(() => this.measure(), SOON_MS);
+  }
+
+  async measure() {
+    if (this.isLooking || !this.isStale) return;
+    this.isLooking = true;
+    this.isStale = false;
+    try {
+      this.look = await server.look(this.store.drawing);
+      this.failure = "";
+    } catch (error) {
+      this.failure = `the program does not answer: ${/** @type {Error} */ (error).message}`;
+    }
+    this.isLooking = false;
+    this.render();
+    if (this.isStale) this.measure();
+    else document.body.dataset.calm = "true";
+  }
+
+  /** Shows the picture without traffic, a frame, or the picture of the old pose. */
+  async showPicture() {
+    const asked = (this.kept.asked = Symbol("picture"));
+    const name = this.frame === null ? null : this.site.frames[this.frame];
+    const address = this.shownOld ? "api/pose.png" : name === null ? "api/backdrop.png" : server.pictureAddress(name);
+    try {
+      const [image, shift] = await Promise.all([
+        server.picture(address),
+        name === null || this.shownOld ? null : server.shift(name),
+      ]);
+      if (this.kept.asked !== asked) return;
+      this.kept.shift = shift?.sure ? shift.by : [0, 0];
+      this.stage.show(image, this.kept.shift);
+      this.kept.pictureProblem = "";
+    } catch {
+      this.kept.pictureProblem = `${name} cannot be shown`;
+    }
+    this.render();
+  }
+
+  /** @param {number | null} frame */
+  show(frame) {
+    const n = this.site.frames.length;
+    this.frame = frame === null ? null : ((frame % n) + n) % n;
+    this.shownOld = false;
+    this.showPicture();
+  }
+
+  render() {
+    const { look, store } = this;
+    fill(
+      byId("steps"),
+      ...STEPS.map((step, k) =>
+        el("button", {
+          class: step.done(this) ? "done" : "",
+          "aria-current": k === this.at && "step",
+          id: `step-${k + 1}`,
+          onclick: () => this.go(k),
+        }, el("span", { class: "number", text: step.done(this) ? "✓" : String(k + 1) }), step.name),
+      ),
+    );
+    const verdict = byId("verdict");
+    const camera = look?.camera;
+    verdict.textContent = camera ? `lengths ± ${percent(camera.whole)}` : "";
+    verdict.className = `verdict ${camera ? (camera.trust === "ok" ? "good" : "bad") : ""}`;
+    /** @type {HTMLButtonElement} */ (byId("undo")).disabled = store.past.length === 0;
+    /** @type {HTMLButtonElement} */ (byId("redo")).disabled = store.future.length === 0;
+    fill(
+      byId("tools"),
+      ...(this.tools.length
+        ? [
+            ...this.tools.map((tool) => this.toolButton(tool, tool.name, tool.key)),
+            this.toolButton(null, "Move", "V"),
+          ]
+        : []),
+    );
+    this.stage.loupe = this.magnifier && this.tools.length > 0;
+    const hint = this.failure || this.tool?.hint || this.step.hint(this);
+    byId("hint").textContent = hint;
+    byId("hint").className = this.failure ? "bad-text" : "";
+    this.renderBackdrops();
+    fill(byId("panel"), this.movedCard(), this.siteProblem(), ...this.step.panel(this));
+    fill(
+      byId("legend"),
+      ...(look?.dots.length && this.step === road.step
+        ? [
+            "6 m of road known to",
+            ...ERRORS.map(([limit, colour]) => {
+              const dot = el("i");
+              dot.style.background = colour;
+              return el("span", {}, dot, limit === Infinity ? "worse" : percent(limit));
+            }),
+          ]
+        : []),
+    );
+    this.stage.paint();
+  }
+
+  /** @param {Tool | null} tool @param {string} name @param {string} key */
+  toolButton(tool, name, key) {
+    return el("button", { "aria-pressed": String(this.tool === tool), data: { tool: name }, onclick: () => this.take(tool) }, name, el("kbd", { text: key }));
+  }
+
+  renderBackdrops() {
+    const { frame, site } = this;
+    const name = frame === null ? "" : site.frames[frame];
+    fill(
+      byId("backdrops"),
+      el("button", { class: "small", "aria-pressed": String(frame === null && !this.shownOld), onclick: () => this.show(null) }, "Without traffic"),
+      el("button", { class: "small", "aria-pressed": String(frame !== null), onclick: () => this.show(frame ?? 0) }, "With traffic"),
+      frame !== null && el("button", { class: "small", title: "Previous picture (,)", onclick: () => this.show(frame - 1) }, "‹"),
+      frame !== null && el("span", { class: "name", text: name }),
+      frame !== null && el("button", { class: "small", title: "Next picture (.)", onclick: () => this.show(frame + 1) }, "›"),
+      el("span", { class: "name" }, this.kept.pictureProblem || ""),
+      el("button", { class: "small", title: "Magnifier (M)", "aria-pressed": String(this.magnifier), onclick: () => { this.magnifier = !this.magnifier; this.render(); } }, "Magnifier"),
+      el("button", { class: "small", title: "Whole picture (0)", onclick: () => this.stage.fit() }, "Fit"),
+    );
+  }
+
+  siteProblem() {
+    const { problem } = this.site;
+    return problem && el("div", { class: "card bad" }, el("b", { text: "This site cannot be saved. " }), problem);
+  }
+
+  /** The camera moved since the site was saved: a look and a click. */
+  movedCard() {
+    const { moved } = this;
+    if (!moved) return null;
+    const [du, dv] = moved.by;
+    return el("div", { class: "card fair", id: "moved" },
+      el("b", { text: "The camera has moved. " }),
+      `By ${moved.displacement_px.toFixed(1)} px since this site was saved (${du.toFixed(1)} right, ${dv.toFixed(1)} down, turn ${moved.turn_deg.toFixed(1)}°, zoom ${moved.zoom.toFixed(3)}). Everything drawn was carried along: compare, mend points that are off, then confirm.`,
+      el("div", { class: "actions" },
+        el("button", { onclick: () => { this.shownOld = !this.shownOld; this.showPicture(); } }, this.shownOld ? "Show it now" : "Show it as it was"),
+        el("button", { class: "primary", id: "confirm-moved", onclick: () => this.confirmMoved() }, "The points are right"),
+      ),
+    );
+  }
+
+  confirmMoved() {
+    this.moved = null;
+    this.shownOld = false;
+    this.store.edit((d) => { d.backdrop = this.site.backdrop; });
+    this.showPicture();
+  }
+
+  listen() {
+    byId("undo").addEventListener("click", () => this.store.undo());
+    byId("redo").addEventListener("click", () => this.store.redo());
+    window.addEventListener("keydown", (event) => this.pressed(event));
+    window.addEventListener("keyup", (event) => {
+      if (event.key === " ") this.stage.space = false;
+    });
+    window.addEventListener("beforeunload", (event) => {
+      if (this.store.changed) event.preventDefault();
+    });
+  }
+
+  /** @param {KeyboardEvent} event */
+  pressed(event) {
+    const target = /** @type {HTMLElement} */ (event.target);
+    const typing = target.tagName === "INPUT" || target.tagName === "SELECT";
+    const control = event.ctrlKey || event.metaKey;
+    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    if (control && (key === "z" || key === "y")) {
+      if (typing) target.blur();
+      event.preventDefault();
+      if (key === "y" || event.shiftKey) this.store.redo();
+      else if (this.hand.pending.length) this.hand.pending.pop();
+      else this.store.undo();
+      this.stage.paint();
+      return;
+    }
+    if (typing || control || event.altKey) return;
+    if (this.did(key, event)) event.preventDefault();
+  }
+
+  /** @param {string} key @param {KeyboardEvent} event @returns {boolean} whether it means something */
+  did(key, event) {
+    const onButton = /** @type {HTMLElement} */ (event.target).tagName === "BUTTON";
+    if (key === "Enter" && !onButton) this.hand.finish();
+    else if (key === "Escape") {
+      if (this.hand.pending.length) this.hand.cancel();
+      else this.select(null);
+    } else if ((key === "Delete" || key === "Backspace") && this.selection) this.remove();
+    else if (key === "Backspace" && this.hand.pending.length) {
+      this.hand.pending.pop();
+      this.stage.paint();
+    } else if (key.startsWith("Arrow")) return this.nudge(key, event.shiftKey ? 2 : 0.25);
+    else if (key === "+" || key === "=") this.stage.zoom(1.25);
+    else if (key === "-") this.stage.zoom(0.8);
+    else if (key === "0") this.stage.fit();
+    else if (key === "m") {
+      this.magnifier = !this.magnifier;
+      this.render();
+    } else if (key === "b") this.show(this.frame === null ? 0 : null);
+    else if (key === ",") this.show((this.frame ?? 1) - 1);
+    else if (key === ".") this.show((this.frame ?? -1) + 1);
+    else if (key === " " && !onButton) this.stage.space = true;
+    else if (key === "v" && this.tools.length) this.take(null);
+    else if (/^F?[1-5]$/.test(key) && event.shiftKey) this.go(Number(key.replace("F", "")) - 1);
+    else if (key === "PageDown") this.go(Math.min(this.at + 1, STEPS.length - 1));
+    else if (key === "PageUp") this.go(Math.max(this.at - 1, 0));
+    else {
+      const tool = this.tools.find((t) => t.key.toLowerCase() === key);
+      if (tool) this.take(tool);
+      else return this.step.key?.(this, key) ?? false;
+    }
+    return true;
+  }
+
+  remove() {
+    const { selection } = this;
+    if (!selection) return;
+    this.selection = null;
+    this.store.edit((d) => remove(d, selection));
+  }
+
+  /** Moves the point under the mouse, else all points of what is selected. @param {string} key @param {number} px */
+  nudge(key, px) {
+    const { selection } = this;
+    const { mouse } = this.stage;
+    const near = mouse && this.hand.near(this.stage.toPicture(mouse));
+    const moved = handles(this.store.drawing, this.movable()).filter((h) =>
+      near ? h.kind === near.kind && h.index === near.index && h.point === near.point
+        : selection && h.kind === selection.kind && h.index === selection.index,
+    );
+    if (!moved.length) return false;
+    const by = { ArrowLeft: [-px, 0], ArrowRight: [px, 0], ArrowUp: [0, -px], ArrowDown: [0, px] }[key] ?? [0, 0];
+    this.store.edit(
+      (d) => moved.forEach((h) => moveHandle(d, h, [h.at[0] + by[0], h.at[1] + by[1]])),
+      `nudge ${moved[0].kind} ${moved[0].index}`,
+    );
+    return true;
+  }
+}
+
+async function open() {
+  const busy = byId("busy");
+  try {
+    const desk = new Desk(await server.site());
+    pictures.prefill(desk);
+    await desk.showPicture();
+    desk.stage.fit();
+    busy.hidden = true;
+    desk.go(desk.site.saved ? 1 : 0);
+    desk.measure();
+  } catch (error) {
+    busy.textContent = `${/** @type {Error} */ (error).message}`;
+  }
+}
+
+open();

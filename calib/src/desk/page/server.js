@@ -1,0 +1,62 @@
+// What the page asks the program for. Every address is relative: the token is in the page's own.
+
+/** @typedef {import("./types.js").Drawing} Drawing */
+
+/**
+ * @param {Response} response
+ * @returns {Promise<any>}
+ */
+async function content(response) {
+  const isJson = (response.headers.get("Content-Type") || "").includes("json");
+  const value = isJson ? await response.json() : { error: (await response.text()).trim() };
+  if (!response.ok) throw new Error(value.error || response.statusText);
+  return value;
+}
+
+/**
+ * @param {string} path
+ * @returns {Promise<any>}
+ */
+const get = async (path) => content(await fetch(path));
+
+/**
+ * @param {string} path
+ * @param {unknown} value
+ * @returns {Promise<any>}
+ */
+const post = async (path, value) =>
+  content(
+    await fetch(path, {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify(value),
+    }),
+  );
+
+/** @returns {Promise<import("./types.js").Site>} */
+export const site = () => get("api/site");
+/** @param {Drawing} drawing @returns {Promise<import("./types.js").Look>} */
+export const look = (drawing) => post("api/look", drawing);
+/** @param {Drawing} drawing @returns {Promise<import("./types.js").Saved>} */
+export const save = (drawing) => post("api/save", drawing);
+/** @param {Drawing} drawing @returns {Promise<import("./types.js").Counts>} */
+export const count = (drawing) => post("api/count", drawing);
+/** @returns {Promise<import("./types.js").TrafficState>} */
+export const traffic = () => get("api/traffic");
+/** @returns {Promise<import("./types.js").TrafficState>} */
+export const search = () => post("api/traffic", {});
+/** @param {string} name @returns {Promise<import("./types.js").Shift>} */
+export const shift = (name) => get(`api/shift/${encodeURIComponent(name)}`);
+
+/** @param {string} name */
+export const pictureAddress = (name) => `api/picture/${encodeURIComponent(name)}`;
+
+/**
+ * @param {string} address
+ * @returns {Promise<HTMLImageElement>}
+ */
+export function picture(address) {
+  const image = new Image();
+  image.src = address;
+  return image.decode().then(() => image);
+}

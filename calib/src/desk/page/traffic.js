@@ -1,0 +1,138 @@
+// Step 4: the pictures as the sensor sees them: boxes, contact points, counts by lane.
+
+import { el } from "./elements.js";
+import { paintLanes } from "./lanes.js";
+import { laneColour, vehicleBox } from "./paint.js";
+import * as server from "./server.js";
+
+/** @typedef {import("./types.js").Counts} Counts */
+/** @typedef {import("./main.js").Desk} Desk */
+/** @typedef {import("./main.js").Step} Step */
+
+/** Pictures a second, when played. */
+const PER_S = 2;
+const POLL_MS = 1000;
+
+/** @param {Desk} desk */
+async function poll(desk) {
+  try {
+    desk.site.traffic = await server.traffic();
+  } catch (error) {
+    desk.kept.countProblem = /** @type {Error} */ (error).message;
+  }
+  if (desk.site.traffic.state === "running") setTimeout(() => poll(desk), POLL_MS);
+  else if (desk.site.traffic.state === "done") count(desk);
+  desk.render();
+}
+
+/** @param {Desk} desk */
+async function count(desk) {
+  const { drawing } = desk.store;
+  desk.kept.countProblem = "";
+  try {
+    const counts = await server.count(drawing);
+    desk.kept.counts = counts;
+    if (desk.frame === null && desk.at === 3) desk.show(desk.site.frames.indexOf(counts.frames[0]?.frame ?? ""));
+  } catch (error) {
+    desk.kept.counts = null;
+    desk.kept.countProblem = /** @type {Error} */ (error).message;
+  }
+  desk.render();
+}
+
+/** @param {Desk} desk */
+function play(desk) {
+  clearInterval(desk.kept.playing);
+  desk.kept.playing = desk.kept.playing ? 0 : setInterval(() => {
+    if (desk.at !== 3) play(desk);
+    else desk.show((desk.frame ?? -1) + 1);
+  }, 1000 / PER_S);
+  desk.render();
+}
+
+/** The boxes of the picture that is shown. @param {Desk} desk */
+function shown(desk) {
+  /** @type {Counts | null} */
+  const counts = desk.kept.counts ?? null;
+  const name = desk.frame === null ? "" : desk.site.frames[desk.frame];
+  return counts?.frames.find((f) => f.frame === name)?.boxes ?? [];
+}
+
+/** @type {Step} */
+export const step = {
+  name: "Traffic",
+  movable: [],
+  tools: () => [],
+  hint: () => "",
+  done: (desk) => !!desk.kept.counts,
+  enter(desk) {
+    poll(desk);
+  },
+  key(desk, key) {
+    if (key === "p") play(desk);
+    return key === "p";
+  },
+  paint(desk, c, placed) {
+    paintLanes(desk, c, placed, false);
+    for (const box of shown(desk)) vehicleBox(c, placed, box, desk.kept.shift ?? [0, 0]);
+  },
+  panel(desk) {
+    const { traffic } = desk.site;
+    return [
+      el("h2", { text: "The traffic" }),
+      ...(traffic.state === "done" ? counted(desk) : search(desk)),
+      el("h3", { text: "Audit" }),
+      el("p", { class: "dim", id: "audit", text: "Ten pictures counted by a person say how far the counts are off: `verge audit`, once the site is saved." }),
+      el("div", { class: "actions" }, el("button", { class: "primary", id: "next", onclick: () => desk.go(4) }, "Save the site")),
+    ];
+  },
+};
+
+/** @param {Desk} desk */
+function search(desk) {
+  const { traffic } = desk.site;
+  const begin = async () => {
+    try {
+      desk.site.traffic = await server.search();
+    } catch (error) {
+      desk.kept.countProblem = /** @type {Error} */ (error).message;
+    }
+    poll(desk);
+  };
+  if (!traffic.detector)
+    return [el("div", { class: "card", id: "no-detector" }, "There is no detector here. Start the desk where the program ", el("code", { text: "verge" }), " and a model are (", el("code", { text: "--verge" }), ", ", el("code", { text: "--model" }), "), or go on: it is not needed to save the site.")];
+  if (traffic.state === "running")
+    return [el("div", { class: "card" }, `Searching ${desk.site.frames.length} pictures for vehicles … ${traffic.running_s.toFixed(0)} s`)];
+  return [
+    traffic.problem && el("div", { class: "card bad", text: traffic.problem }),
+    el("p", { class: "dim", text: "Find the vehicles of the pictures, and see which lane each is counted in." }),
+    el("button", { class: "primary", id: "search", onclick: begin }, `Find vehicles in ${desk.site.frames.length} pictures`),
+  ];
+}
+
+/** @param {Desk} desk */
+function counted(desk) {
+  /** @type {Counts | null} */
+  const counts = desk.kept.counts ?? null;
+  if (!counts) return [el("div", { class: `card ${desk.kept.countProblem ? "bad" : ""}`, id: "count-problem", text: desk.kept.countProblem || "Counting …" })];
+  const now = shown(desk);
+  const rows = counts.lanes.map((lane) => {
+    const swatch = el("span", { text: `● ` });
+    swatch.style.color = laneColour(lane.lane);
+    return el("tr", {},
+      el("td", {}, swatch, `lane ${lane.lane}`),
+      el("td", { text: String(now.filter((b) => b.lane === lane.lane).length) }),
+      el("td", { text: lane.vehicles.toFixed(2) }),
+      el("td", { text: ((1000 * lane.vehicles) / lane.length_m).toFixed(1) }));
+  });
+  return [
+    el("div", { class: "actions" },
+      el("button", { id: "play", onclick: () => play(desk) }, desk.kept.playing ? "Stop" : "Play"),
+      el("button", { onclick: () => desk.show((desk.frame ?? 0) - 1) }, "‹"),
+      el("button", { onclick: () => desk.show((desk.frame ?? -1) + 1) }, "›")),
+    el("table", { id: "counts" },
+      el("tr", {}, el("th", { text: "" }), el("th", { text: "now" }), el("th", { text: "mean" }), el("th", { text: "veh/km" })),
+      ...rows),
+    el("p", { class: "dim", text: `${counts.frames.length} pictures. Dashed boxes are not counted: they stand beside the lanes, are cut off, or are unsure.` }),
+  ];
+}

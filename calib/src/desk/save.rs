@@ -1,0 +1,212 @@
+//! Saving a site: calibration, lanes, lane table with its reference, drawing, `verge.toml`.
+//!
+//! Owns the list of files and that all of them are written or none. Does not own their
+//! formats.
+
+use super::backdrop::{Backdrop, spread};
+use super::drawing::{Drawing, Px};
+use super::look;
+use super::site::{POSE, SITE, Site};
+use super::traffic::Traffic;
+use crate::error::{Error, Result};
+use crate::files::calibration::Sha256;
+use crate::files::labelme::LabelFile;
+use crate::road::lane_table::table;
+use crate::road::scene_reference::reference_of;
+use nalgebra::Vector2;
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use verge::lane::{DEFAULT_CELL_LENGTH_M, MAX_NAME};
+use verge_desk::Batch;
+
+/// Frames that the reference is made of, beside the backdrop.
+const REFERENCE_FRAMES: usize = 8;
+/// Time between two pictures where nothing tells it, s.
+const INTERVAL_S: f64 = 5.0;
+/// Lengths of the sensor's windows, s.
+const WINDOWS_S: [u64; 2] = [60, 900];
+
+/// What was saved.
+#[derive(Debug, Serialize)]
+pub struct Saved {
+    /// The site's folder.
+    pub folder: String,
+    /// Each file and what it is.
+    pub files: Vec<(String, String)>,
+}
+
+/// Saves a drawing.
+///
+/// # Errors
+/// What is wrong with it; nothing is written then.
+pub fn save(
+    drawing: &Drawing,
+    site: &Site,
+    backdrop: &Backdrop,
+    traffic: &Traffic,
+    model: Option<&Path>,
+) -> Result<Saved> {
+    if drawing.backdrop != backdrop.sha256 {
+        return Err(Error::Usage(
+            "the camera has moved since this was drawn: look at the points and confirm that they \
+             are right"
+                .into(),
+        ));
+    }
+    name("site", &drawing.site)?;
+    name("camera", &drawing.camera_id)?;
+    let mut calibration = look::calibration(drawing, &traffic.cue())?;
+    calibration.camera_id = Some(drawing.camera_id.clone());
+    look::require_trust(&calibration)?;
+    let lanes = look::lanes(drawing, &calibration)?;
+    let json = calibration.to_json();
+    let ignored: Vec<Vec<Vector2<f64>>> = drawing.ignored.iter().map(|p| points(p)).collect();
+    let [width, height] = backdrop.image_size;
+    let pose = (backdrop.rgb.clone(), width, height);
+    let frames = spread(&backdrop.frames, REFERENCE_FRAMES);
+    let (_, scene) = reference_of("the picture without traffic", pose, &frames, &ignored)?;
+    let sha256 = Sha256::of(json.as_bytes());
+    let table = table(
+        &calibration,
+        &lanes,
+        sha256,
+        &drawing.camera_id,
+        Some(&scene),
+        DEFAULT_CELL_LENGTH_M,
+    )?;
+    let drawn = serde_json::to_string(drawing).expect("a drawing of finite numbers is JSON");
+    let [lengths, lines] = drawing.labelme_lines();
+    let mut files = vec![
+        ("calibration.json", json.into_bytes(), "the camera, for `mvcalib verify` and `report`"),
+        ("lanes.json", labelme(&drawing.labelme(&drawing.lanes)), "the lanes, for labelme too"),
+        ("lanes.lut", table, "the lane table, for `verge run`"),
+        ("verge.toml", toml(drawing, site, model).into_bytes(), "the sensor's configuration"),
+        (POSE, backdrop.png.clone(), "the picture that was drawn on"),
+        (SITE, drawn.into_bytes(), "everything drawn: opened again by `mvcalib desk`"),
+    ];
+    if let Some(lengths) = lengths {
+        files.push(("lengths.json", labelme(&lengths), "the known lengths, for labelme too"));
+    }
+    if let Some(lines) = lines {
+        files.push(("lane_lines.json", labelme(&lines), "the lane lines, for labelme too"));
+    }
+    if !site.file(SITE).exists()
+        && let Some((name, ..)) = files.iter().find(|(name, ..)| site.file(name).exists())
+    {
+        return Err(Error::Usage(format!(
+            "{} was not made at a desk and would be lost; give another folder: --site DIR",
+            site.file(name).display()
+        )));
+    }
+    let mut batch = Batch::default();
+    for (name, bytes, _) in &files {
+        batch.add(&site.file(name), bytes)?;
+    }
+    batch.commit()?;
+    let files = files.into_iter().map(|(name, _, what)| (name.into(), what.into())).collect();
+    Ok(Saved { folder: site.folder.display().to_string(), files })
+}
+
+fn points(polygon: &[Px]) -> Vec<Vector2<f64>> {
+    polygon.iter().map(|&p| p.into()).collect()
+}
+
+/// A name as topics and lane tables hold it.
+fn name(what: &str, text: &str) -> Result<()> {
+    let plain = !text.trim().is_empty() && text.len() <= MAX_NAME;
+    if plain && !text.contains(['/', '+', '#', '\0', '\n']) {
+        return Ok(());
+    }
+    Err(Error::Usage(format!(
+        "give the {what} a name of 1 to {MAX_NAME} bytes without / + # (it is {text:?})"
+    )))
+}
+
+/// As labelme 5 writes it.
+fn labelme(file: &LabelFile) -> Vec<u8> {
+    let value = serde_json::json!({
+        "version": "5.5.0",
+        "flags": file.flags,
+        "shapes": file.shapes,
+        "imagePath": POSE,
+        "imageData": null,
+        "imageHeight": file.image_height,
+        "imageWidth": file.image_width,
+    });
+    let mut text = serde_json::to_vec_pretty(&value).expect("finite numbers are JSON");
+    text.push(b'\n');
+    text
+}
+
+fn toml(drawing: &Drawing, site: &Site, model: Option<&Path>) -> String {
+    let absolute = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    // JSON's texts are TOML's basic ones.
+    let text = |text: &str| serde_json::to_string(text).expect("a text is JSON");
+    let path = |path: &PathBuf| text(&path.to_string_lossy());
+    let source = match drawing.source.trim() {
+        "" => path(&absolute(&site.frames)),
+        given => text(given),
+    };
+    let interval_s = drawing.interval_s.or_else(|| interval_of(site)).unwrap_or(INTERVAL_S);
+    let mut toml = String::from(
+        "# Made by `mvcalib desk`; boards/linux/verge.toml explains every key. Try it with\n\
+         # `verge check --config verge.toml`.\n",
+    );
+    let _ = writeln!(toml, "site = {}\n\n[camera]", text(&drawing.site));
+    let _ = writeln!(toml, "id = {}", text(&drawing.camera_id));
+    if drawing.source.trim().is_empty() {
+        toml.push_str("# The folder of pictures at the desk. On the box: the camera's address.\n");
+    }
+    let _ = writeln!(toml, "source = {source}\ninterval_s = {interval_s:?}");
+    if let Some(model) = model {
+        let _ = writeln!(toml, "\n[model]\nfile = {}", path(&absolute(model)));
+    }
+    let _ = writeln!(toml, "\n[lane_table]\nfile = \"lanes.lut\"");
+    let _ = writeln!(toml, "\n[windows]\nlengths_s = {WINDOWS_S:?}");
+    toml
+}
+
+/// Median time between pictures whose names tell their time as `20260105T153000`, s.
+pub fn interval_of(site: &Site) -> Option<f64> {
+    let names = site.pictures().ok()?;
+    let mut times: Vec<f64> =
+        names.iter().filter_map(|p| time_of(&p.file_stem()?.to_string_lossy())).collect();
+    times.sort_by(f64::total_cmp);
+    let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
+    gaps.sort_by(f64::total_cmp);
+    let longest = WINDOWS_S[0] as f64;
+    gaps.get(gaps.len() / 2).copied().filter(|s| (0.01..=longest).contains(s))
+}
+
+/// Seconds since a fixed day of a name such as `20260105T153000.250Z`; months count 31 days,
+/// which cancels within a day.
+fn time_of(stem: &str) -> Option<f64> {
+    let (day, time) = stem.split_once('T')?;
+    let number = |text: &str| text.parse::<f64>().ok();
+    let part = |text: &str, at: usize, len: usize| number(text.get(at..at + len)?);
+    let days = 372.0 * part(day, 0, 4)? + 31.0 * part(day, 4, 2)? + part(day, 6, 2)?;
+    let rest = time.trim_end_matches('Z');
+    let seconds = number(rest.get(4..)?)?;
+    Some(86400.0 * days + 3600.0 * part(rest, 0, 2)? + 60.0 * part(rest, 2, 2)? + seconds)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_tell_the_time() {
+        let apart = time_of("20260105T153004.500Z").unwrap() - time_of("20260105T152956Z").unwrap();
+        assert!((apart - 8.5).abs() < 1e-6);
+        assert_eq!(time_of("frame_0001"), None);
+    }
+
+    #[test]
+    fn names_of_topics_are_plain() {
+        assert!(name("site", "bridge 7").is_ok());
+        for wrong in ["", " ", "a/b", "a#", "ä".repeat(25).as_str()] {
+            assert!(name("site", wrong).is_err(), "{wrong:?}");
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! Vehicles of the pictures, found by the program `verge`, in the drawn lanes.
+//!
+//! Owns running `verge detect` beside this program, its boxes, and counting them by lane with
+//! the very table that the sensor would use. Does not own a detector.
+
+use super::backdrop::{Backdrop, name_of};
+use super::drawing::Drawing;
+use super::look;
+use super::site::Site;
+use crate::error::{Error, Result};
+use crate::files::calibration::Sha256;
+use crate::files::road_cues;
+use crate::road::fit::{BoxCue, Class};
+use crate::road::lane_table::table;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+use verge::lane::{DEFAULT_CELL_LENGTH_M, LaneTable};
+use verge::units::ImagePoint;
+
+/// The file of boxes in the site's folder.
+pub const DETECTIONS: &str = "detections.jsonl";
+/// Least score of a box that counts, as the sensor's own default.
+const COUNTS: f64 = 0.5;
+/// A box that ends so near to the picture's lower edge, px, is cut off by it, as in the sensor.
+const EDGE_PX: f64 = 0.5;
+
+/// The detector of this desk.
+#[derive(Clone, Debug)]
+pub struct Detector {
+    /// The program `verge`.
+    pub program: PathBuf,
+    /// The model that it uses.
+    pub model: PathBuf,
+}
+
+/// The boxes of one picture.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct FrameBoxes {
+    /// The picture's name.
+    pub frame: String,
+    /// x0, y0, x1, y1 in px, score, class.
+    pub boxes: Vec<(f64, f64, f64, f64, f64, String)>,
+}
+
+/// How far the search is.
+#[derive(Clone, Debug)]
+enum Progress {
+    Idle,
+    Running(Instant),
+    Done(Arc<Vec<FrameBoxes>>),
+    Failed(String),
+}
+
+/// The search of this desk.
+#[derive(Debug)]
+pub struct Traffic {
+    detector: Option<Detector>,
+    progress: Arc<Mutex<Progress>>,
+}
+
+/// How far the search is, for the page.
+#[derive(Debug, Serialize)]
+pub struct TrafficState {
+    /// Whether there is a detector.
+    pub detector: bool,
+    /// `idle`, `running`, `done` or `failed`.
+    pub state: &'static str,
+    /// Time since it began, s.
+    pub running_s: f64,
+    /// Why it failed.
+    pub problem: Option<String>,
+    /// Pictures that were searched.
+    pub frames: usize,
+    /// Boxes that were found.
+    pub boxes: usize,
+}
+
+impl Traffic {
+    /// A search by that detector; boxes of a file at hand are taken as they are.
+    ///
+    /// # Errors
+    /// Where the file cannot be read.
+    pub fn new(detector: Option<Detector>, at_hand: Option<&Path>) -> Result<Self> {
+        let progress = match at_hand {
+            Some(path) => Progress::Done(Arc::new(read(path)?)),
+            None => Progress::Idle,
+        };
+        Ok(Traffic { detector, progress: Arc::new(Mutex::new(progress)) })
+    }
+
+    fn now(&self) -> Progress {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The boxes, once there are some.
+    pub fn found(&self) -> Option<Arc<Vec<FrameBoxes>>> {
+        match self.now() {
+            Progress::Done(frames) => Some(frames),
+            _ => None,
+        }
+    }
+
+    /// The boxes as a cue of the road fit, where the backdrop is.
+    pub fn cue(&self) -> Vec<BoxCue> {
+        let Some(frames) = self.found() else { return Vec::new() };
+        let of = |(frame, all): (usize, &FrameBoxes)| -> Vec<BoxCue> {
+            let strong = all.boxes.iter().filter(|b| b.4 >= road_cues::MIN_SCORE);
+            strong
+                .map(|b| BoxCue {
+                    frame,
+                    corners: [b.0, b.1, b.2, b.3],
+                    class: Class::of_name(&b.5),
+                })
+                .collect()
+        };
+        frames.iter().enumerate().flat_map(of).collect()
+    }
+
+    /// For the page.
+    pub fn state(&self) -> TrafficState {
+        let mut state = TrafficState {
+            detector: self.detector.is_some(),
+            state: "idle",
+            running_s: 0.0,
+            problem: None,
+            frames: 0,
+            boxes: 0,
+        };
+        match self.now() {
+            Progress::Idle => {}
+            Progress::Running(since) => {
+                (state.state, state.running_s) = ("running", since.elapsed().as_secs_f64());
+            }
+            Progress::Done(frames) => {
+                state.state = "done";
+                state.frames = frames.len();
+                state.boxes = frames.iter().map(|f| f.boxes.len()).sum();
+            }
+            Progress::Failed(problem) => (state.state, state.problem) = ("failed", Some(problem)),
+        }
+        state
+    }
+
+    /// Begins the search; one at a time.
+    ///
+    /// # Errors
+    /// Where there is no detector, or its program cannot be started.
+    pub fn start(&self, site: &Site) -> Result<()> {
+        let detector = self.detector.as_ref().ok_or_else(|| {
+            Error::Usage(
+                "there is no detector: start `mvcalib desk` with --model, and with the program \
+                 `verge` beside it"
+                    .into(),
+            )
+        })?;
+        let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        if matches!(*progress, Progress::Running(_)) {
+            return Ok(());
+        }
+        let out = site.file(DETECTIONS);
+        verge_desk::make_parent(&out)?;
+        let child = Command::new(&detector.program)
+            .arg("detect")
+            .arg("--frames")
+            .arg(&site.frames)
+            .arg("--detections")
+            .arg(&out)
+            .arg("--model")
+            .arg(&detector.model)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|e| Error::Usage(format!("{}: {e}", detector.program.display())))?;
+        *progress = Progress::Running(Instant::now());
+        let shared = Arc::clone(&self.progress);
+        std::thread::spawn(move || {
+            let ended = match child.wait_with_output() {
+                Ok(output) if output.status.success() => match read(&out) {
+                    Ok(frames) => Progress::Done(Arc::new(frames)),
+                    Err(error) => Progress::Failed(error.to_string()),
+                },
+                Ok(output) => {
+                    let said = String::from_utf8_lossy(&output.stderr);
+                    Progress::Failed(said.lines().last().unwrap_or("it failed").to_owned())
+                }
+                Err(error) => Progress::Failed(error.to_string()),
+            };
+            *shared.lock().unwrap_or_else(PoisonError::into_inner) = ended;
+        });
+        Ok(())
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<FrameBoxes>> {
+    let text = verge_desk::read_text(path)?;
+    let parse = |(k, line): (usize, &str)| {
+        serde_json::from_str(line).map_err(|e| Error::Json {
+            path: path.to_owned(),
+            detail: format!("line {}: {e}", k + 1),
+        })
+    };
+    text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()).map(parse).collect()
+}
+
+/// A box in its lane.
+#[derive(Debug, PartialEq, Serialize)]
+pub struct Counted {
+    /// x0, y0, x1, y1 in px of the frame.
+    pub corners: [f64; 4],
+    /// Score of the detector.
+    pub score: f64,
+    /// Class.
+    pub class: String,
+    /// Number of its lane; `None` beside all lanes, and where it does not count.
+    pub lane: Option<u8>,
+    /// Distance along its lane, m.
+    pub s_m: Option<f64>,
+}
+
+/// The boxes of one picture in the lanes.
+#[derive(Debug, Serialize)]
+pub struct CountedFrame {
+    /// The picture's name.
+    pub frame: String,
+    /// Its boxes.
+    pub boxes: Vec<Counted>,
+}
+
+/// A lane's mean.
+#[derive(Debug, Serialize)]
+pub struct LaneMean {
+    /// Number of the lane.
+    pub lane: u8,
+    /// Its length, m.
+    pub length_m: f64,
+    /// Mean vehicles in a picture.
+    pub vehicles: f64,
+}
+
+/// Everything counted.
+#[derive(Debug, Serialize)]
+pub struct Counts {
+    /// Picture by picture.
+    pub frames: Vec<CountedFrame>,
+    /// Lane by lane.
+    pub lanes: Vec<LaneMean>,
+}
+
+/// Counts the boxes of every picture in the lanes of a drawing.
+///
+/// # Errors
+/// What is wrong with the drawing's camera or lanes.
+pub fn count(
+    drawing: &Drawing,
+    traffic: &Traffic,
+    backdrop: &Backdrop,
+    site: &Site,
+) -> Result<Counts> {
+    let frames =
+        traffic.found().ok_or_else(|| Error::Usage("no picture was searched yet".into()))?;
+    let calibration = look::calibration(drawing, &traffic.cue())?;
+    let lanes = look::lanes(drawing, &calibration)?;
+    let sha256 = Sha256::of(calibration.to_json().as_bytes());
+    let bytes = table(&calibration, &lanes, sha256, "desk", None, DEFAULT_CELL_LENGTH_M)?;
+    let table = LaneTable::parse(&bytes[..])
+        .map_err(|e| Error::Solver { method: "lane table", detail: e.to_string() })?;
+    let height = f64::from(drawing.image_size[1]);
+    let mut totals = vec![0.0; 256];
+    let mut counted = Vec::new();
+    for frame in frames.iter() {
+        let shift = site.picture(&frame.frame).and_then(|p| backdrop.shift(&p).ok());
+        let [du, dv] = shift.filter(|s| s.sure).map_or([0.0; 2], |s| s.by);
+        let place = |b: &(f64, f64, f64, f64, f64, String)| {
+            if b.4 < COUNTS || b.3 >= height - EDGE_PX {
+                return None;
+            }
+            let (u, v) = (0.5 * (b.0 + b.2) - du, b.3 - dv);
+            table.place(ImagePoint { u: u as f32, v: v as f32 })
+        };
+        let boxes: Vec<Counted> = frame
+            .boxes
+            .iter()
+            .map(|b| {
+                let place = place(b);
+                Counted {
+                    corners: [b.0, b.1, b.2, b.3],
+                    score: b.4,
+                    class: b.5.clone(),
+                    lane: place.map(|p| p.lane.get()),
+                    s_m: place.map(|p| f64::from(p.s_m)),
+                }
+            })
+            .collect();
+        for lane in boxes.iter().filter_map(|b| b.lane) {
+            totals[usize::from(lane)] += 1.0;
+        }
+        counted.push(CountedFrame { frame: name_of(Path::new(&frame.frame)), boxes });
+    }
+    let n = (frames.len() as f64).max(1.0);
+    let mean = |lane: &crate::road::lane_table::DrawnLane| LaneMean {
+        lane: lane.id.get(),
+        length_m: lane.axis.length_m(),
+        vehicles: totals[usize::from(lane.id.get())] / n,
+    };
+    Ok(Counts { frames: counted, lanes: lanes.iter().map(mean).collect() })
+}

@@ -1,0 +1,295 @@
+"""The desk in a real browser, from a folder of pictures to a saved site.
+
+    drive.py MVCALIB [--shots DIR] [--page DIR]
+
+Chromium is that of Debian, driven by Playwright. Frames are those of the simulated street in
+tests/data, whose camera is known. --shots keeps a picture of each step; --page takes the page's
+files from a folder in place of the program's own, so that no build is needed to try a change.
+"""
+
+import argparse
+import atexit
+import json
+import math
+import pathlib
+import re
+import shutil
+import subprocess
+import tempfile
+
+from playwright.sync_api import sync_playwright
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+STREET = ROOT / "tests/data/freeway"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+SIZE = {"width": 1366, "height": 650}
+MOST_ACTIONS = 60
+
+
+class Truth:
+    """The street's camera and its lane lines."""
+
+    def __init__(self):
+        camera = json.loads((STREET / "calibration.json").read_text())
+        self.f, self.k1 = camera["f"], camera["k1"]
+        self.centre = camera["principal_point"]
+        self.r, self.t = rotation(camera["rvec"]), camera["tvec"]
+        self.lanes = []
+        for shape in json.loads((STREET / "lanes.json").read_text())["shapes"]:
+            points, half = shape["points"], len(shape["points"]) // 2
+            self.lanes.append((points[:half], points[half:][::-1]))
+
+    def ground(self, uv):
+        x, y = ((p - c) / self.f for p, c in zip(uv, self.centre))
+        dx, dy = x, y
+        for _ in range(20):
+            s = 1 + self.k1 * (dx * dx + dy * dy)
+            dx, dy = x / s, y / s
+        back = lambda v: [sum(self.r[i][k] * v[i] for i in range(3)) for k in range(3)]
+        ray, centre = back([dx, dy, 1]), [-c for c in back(self.t)]
+        reach = -centre[2] / ray[2]
+        return [centre[0] + reach * ray[0], centre[1] + reach * ray[1]]
+
+    def metres(self, a, b):
+        return math.dist(self.ground(a), self.ground(b))
+
+
+def rotation(rvec):
+    angle = math.hypot(*rvec)
+    x, y, z = (c / angle for c in rvec)
+    s, c = math.sin(angle), math.cos(angle)
+    d = 1 - c
+    return [
+        [c + x * x * d, x * y * d - z * s, x * z * d + y * s],
+        [y * x * d + z * s, c + y * y * d, y * z * d - x * s],
+        [z * x * d - y * s, z * y * d + x * s, c + z * z * d],
+    ]
+
+
+class Desk:
+    """One program with one page; counts what a person would do."""
+
+    def __init__(self, browser, program, folder, arguments=(), page_files=None):
+        self.process = subprocess.Popen(
+            [program, "desk", *map(str, folder), *map(str, arguments)],
+            stdout=subprocess.PIPE, text=True,
+        )
+        atexit.register(self.process.kill)
+        self.address = self.process.stdout.readline().strip()
+        self.context = browser.new_context(viewport=SIZE)
+        self.page = self.context.new_page()
+        self.foreign, self.faults, self.actions = [], [], 0
+        self.page.on("request", self.requested)
+        self.page.on("pageerror", lambda e: self.faults.append(str(e)))
+        self.page.on("console", lambda m: m.type == "error" and "422" not in m.text and self.faults.append(m.text))
+        if page_files:
+            types = {".js": "text/javascript", ".css": "text/css"}
+            def own(route):
+                file = pathlib.Path(page_files) / route.request.url.rsplit("/", 1)[1]
+                route.fulfill(body=file.read_text(), content_type=types[file.suffix])
+            self.page.route("**/page/*", own)
+        self.page.set_default_timeout(30000)
+        self.page.goto(self.address, wait_until="commit")
+        self.page.wait_for_selector("#busy", state="hidden", timeout=60000)
+        self.calm()
+
+    def requested(self, request):
+        if not request.url.startswith((self.address, "data:", "blob:")):
+            self.foreign.append(request.url)
+
+    def close(self):
+        self.context.close()
+        self.process.terminate()
+        self.process.wait()
+        assert not self.foreign, f"requests that leave the page: {self.foreign}"
+        assert not self.faults, f"faults in the page: {self.faults}"
+
+    def calm(self):
+        self.page.wait_for_timeout(60)
+        self.page.wait_for_selector("body[data-calm='true']", timeout=60000)
+
+    def screen(self, uv):
+        box = self.page.locator("#canvas").bounding_box()
+        scale = min(box["width"] / 720, box["height"] / 480)
+        x0 = box["x"] + (box["width"] - 720 * scale) / 2
+        y0 = box["y"] + (box["height"] - 480 * scale) / 2
+        return x0 + uv[0] * scale, y0 + uv[1] * scale
+
+    def at(self, uv):
+        self.actions += 1
+        self.page.mouse.click(*self.screen(uv))
+
+    def key(self, key):
+        self.actions += 1
+        self.page.keyboard.press(key)
+
+    def type(self, text):
+        self.actions += 1
+        self.page.keyboard.type(text)
+
+    def click(self, selector):
+        self.actions += 1
+        self.page.click(selector)
+
+    def text(self, selector):
+        return self.page.inner_text(selector)
+
+
+def add_length(desk, a, b, metres):
+    desk.at(a)
+    desk.at(b)
+    desk.type(f"{metres:.2f}")
+    desk.key("Enter")
+
+
+def from_pictures_to_a_table(desk, truth, shot):
+    """The whole way, with wrong clicks on it."""
+    shot("1-pictures")
+    desk.click("#next")
+    right, left = truth.lanes[0][0], truth.lanes[2][1]
+    # Near and far along the road, near and far across it.
+    add_length(desk, right[1], right[3], truth.metres(right[1], right[3]))
+    add_length(desk, left[10], left[14], truth.metres(left[10], left[14]))
+    add_length(desk, right[2], left[2], truth.metres(right[2], left[2]))
+    desk.calm()
+    shot("2-lengths")
+    # A slip of the hand: a point beside the road, taken back.
+    desk.at([60, 200])
+    desk.key("Control+z")
+    desk.key("n")
+    for line in (truth.lanes[0][0], truth.lanes[0][1], truth.lanes[1][1], truth.lanes[2][1]):
+        for k in (1, 3, 8, 13):
+            desk.at(line[k])
+        desk.key("Enter")
+    desk.calm()
+    desk.page.mouse.move(*desk.screen(right[5]))
+    shot("3-road")
+    assert "±" in desk.text("#camera-card")
+    assert "card good" in desk.page.get_attribute("#camera-card", "class"), desk.text("#camera-card")
+    desk.click("#next")
+    desk.click("#all-lanes")
+    desk.calm()
+    # Lanes without a direction are red, and nothing can be saved.
+    problems = desk.page.locator(".problem")
+    assert problems.count() == 3 and "which way" in problems.first.inner_text()
+    shot("4-undirected")
+    desk.click("#all-away")
+    desk.calm()
+    assert problems.count() == 0, problems.all_inner_texts()
+    shot("5-lanes")
+    desk.click("#step-5")
+    desk.click("#save")
+    desk.page.wait_for_selector("#saved, #save-problem", timeout=60000)
+    shot("6-saved")
+    assert desk.page.locator("#saved").count() == 1, desk.text("#save-problem")
+    actions = desk.actions
+    assert actions < MOST_ACTIONS, f"{actions} actions, at most {MOST_ACTIONS} are allowed"
+    return actions
+
+
+def lane(desk, polygon):
+    desk.key("p")
+    for p in polygon:
+        desk.at(p)
+    desk.key("Enter")
+    desk.calm()
+
+
+def wrong_lanes_are_red(desk, truth, shot):
+    """Each of these gave a wrong number without a word."""
+    remove = lambda number: desk.page.locator(f"[aria-label='remove lane {number}']").click()
+    desk.click("#step-3")
+    # What is left is the lane furthest to the left.
+    remove(3)
+    remove(2)
+    (right, _), (_, left) = truth.lanes[0], truth.lanes[1]
+    # Over two lanes.
+    lane(desk, [right[1], right[7], left[7], left[1]])
+    desk.key("a")
+    desk.calm()
+    problem = desk.text(".problem")
+    assert "covers two lanes" in problem, problem
+    shot("7-two-lanes")
+    desk.click("#step-5")
+    desk.click("#save")
+    desk.page.wait_for_selector("#save-problem")
+    assert "two lanes" in desk.text("#save-problem")
+    desk.click("#step-3")
+    remove(2)
+    # Over the lane that is there.
+    right, left = truth.lanes[1][0], truth.lanes[1][1]
+    beyond = [[(2 * p[0] + q[0]) / 3, (2 * p[1] + q[1]) / 3] for p, q in zip(left, truth.lanes[2][1])]
+    lane(desk, [right[1], right[7], beyond[7], beyond[1]])
+    desk.key("a")
+    desk.calm()
+    assert "overlaps lane" in desk.text("#lanes-problem"), desk.text("#panel")
+    remove(2)
+    # Further than is seen.
+    right, left = truth.lanes[0]
+    lane(desk, [right[1], [452, 100], [440, 100], left[1]])
+    desk.key("a")
+    desk.calm()
+    assert "end it nearer" in desk.text(".problem"), desk.text(".problem")
+    remove(2)
+
+
+def a_wrong_length_is_named(desk, truth, shot):
+    desk.click("#step-2")
+    field = desk.page.locator("[data-key='length-0']")
+    right = field.input_value()
+    field.fill(str(2 * float(right)))
+    desk.calm()
+    card = desk.text("#camera-card")
+    assert "mark" in card and ("look at its" in card), card
+    shot("8-contradiction")
+    assert desk.page.locator("#lengths .item.bad").count() >= 1
+    field.fill(right)
+    desk.calm()
+    assert "good" in desk.page.get_attribute("#camera-card", "class")
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("mvcalib")
+    parser.add_argument("--shots", type=pathlib.Path)
+    parser.add_argument("--page")
+    arguments = parser.parse_args()
+    truth = Truth()
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        site = pathlib.Path(folder) / "bridge"
+        open_desk = lambda frames, *more: Desk(
+            browser, arguments.mvcalib, [frames], ["--site", site, *more], arguments.page)
+
+        desk = open_desk(STREET)
+
+        def shot(name):
+            if arguments.shots:
+                arguments.shots.mkdir(parents=True, exist_ok=True)
+                desk.page.wait_for_timeout(150)
+                desk.page.screenshot(path=arguments.shots / f"{name}.png")
+
+        actions = from_pictures_to_a_table(desk, truth, shot)
+        files = sorted(f.name for f in site.iterdir())
+        for wanted in ("calibration.json", "lanes.json", "lanes.lut", "verge.toml", "site.json", "pose.png"):
+            assert wanted in files, files
+        saved = {f.name: f.read_bytes() for f in site.iterdir()}
+        lengths = json.loads(saved["lanes.json"])["shapes"]
+        assert [s["label"] for s in lengths] == ["1", "2", "3"]
+        a_wrong_length_is_named(desk, truth, shot)
+        wrong_lanes_are_red(desk, truth, shot)
+        assert saved == {f.name: f.read_bytes() for f in site.iterdir()}, "a refusal wrote a file"
+        desk.close()
+        print(f"from a folder of frames to a saved table: {actions} actions")
+
+        # A saved site opens again.
+        desk = open_desk(STREET)
+        desk.page.wait_for_selector("#camera-card.good")
+        assert desk.page.locator("#moved").count() == 0
+        desk.close()
+        browser.close()
+    print("the desk in a browser: all is well")
+
+
+if __name__ == "__main__":
+    main()

@@ -267,3 +267,38 @@ fn a_wrong_model_is_refused_with_the_reason() {
         assert!(said.contains(expected), "{said}");
     }
 }
+
+#[test]
+fn frames_are_drawn_beside_the_recording_and_never_into_it() {
+    let (frames, drawn) = (folder(), folder());
+    for second in ["00", "10"] {
+        let name = format!("20260105T0800{second}Z.jpg");
+        std::fs::write(frames.path().join(name), jpeg(320, 240, 90)).expect("writing a frame");
+    }
+    let replay = |overlay: &Path| {
+        let folders = [text(frames.path()), text(overlay)];
+        verge(&[
+            "replay",
+            "--table",
+            K109F_TABLE,
+            "--frames",
+            folders[0],
+            "--window",
+            "60",
+            "--overlay",
+            folders[1],
+        ])
+    };
+    let output = replay(drawn.path());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let drawing = drawn.path().join("20260105T080000Z.png");
+    let drawing = image::open(drawing).expect("a picture").into_rgb8();
+    assert_eq!(drawing.dimensions(), (960, 720), "three times the frame's");
+    let grey = |pixel: &image::Rgb<u8>| pixel.0.iter().all(|&c| c.abs_diff(pixel.0[0]) < 8);
+    let coloured = drawing.pixels().filter(|pixel| !grey(pixel)).count();
+    assert!(coloured > 20_000, "{coloured} pixels of lanes over a grey frame");
+    let refused = replay(frames.path());
+    assert_eq!(refused.status.code(), Some(73), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("another folder"), "{}", stderr(&refused));
+    assert_eq!(std::fs::read_dir(frames.path()).expect("the frames").count(), 2);
+}

@@ -10,6 +10,7 @@ use super::detect::regions::{Cars, Parts};
 use super::detect::{Detector, LoadOptions, Share};
 use super::exit::Failure;
 use super::frame::{Detection, Frame, PixelBox};
+use super::overlay;
 use super::presets::{Preset, Presets, TableSettings, WindowSettings};
 use super::scene::{Scene, View};
 use super::vehicles::{self, Vehicles};
@@ -257,6 +258,16 @@ impl Line {
     /// What was found in the latest frame.
     pub fn found(&self) -> &[Detection] {
         &self.found
+    }
+
+    /// A frame, the latest one, with lanes, boxes, contact points and counts, as a PNG; `note`
+    /// stands in its last line.
+    ///
+    /// # Errors
+    /// [`Failure::Internal`] where it cannot be encoded.
+    pub fn overlay(&self, frame: &Frame, note: &str) -> Result<Vec<u8>, Failure> {
+        let drawn = overlay::png(frame, self.presets.active(), &self.found, note);
+        drawn.map_err(|error| Failure::Internal(format!("the overlay: {error}")))
     }
 
     /// How many vehicles the latest frame shows, and how many of them in the lanes.

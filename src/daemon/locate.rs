@@ -193,17 +193,34 @@ impl Locator {
         located: &mut Vec<Located>,
     ) {
         located.clear();
-        let table = self.description().image_size;
-        let scale_u = f32::from(table.width) / f32::from(picture.width);
-        let scale_v = f32::from(table.height) / f32::from(picture.height);
         for detection in detections {
-            let Some(point) = self.anchor.of(&detection.bounds, picture) else { continue };
-            let point =
-                ImagePoint { u: (point.u - shift.u) * scale_u, v: (point.v - shift.v) * scale_v };
-            if let Some(place) = self.table.place(point) {
+            let contact = self.contact(&detection.bounds, picture);
+            if let Some(place) = contact.and_then(|at| self.place_at(at, picture, shift)) {
                 located.push(Located { place, class: detection.class });
             }
         }
+    }
+
+    /// The point that stands for the vehicle in a box, px of the picture; `None` where it lies
+    /// outside.
+    pub fn contact(&self, bounds: &PixelBox, picture: ImageSize) -> Option<ImagePoint> {
+        self.anchor.of(bounds, picture)
+    }
+
+    /// Where a point of a picture lies on the road. The scene stands `shift` (px of the picture)
+    /// to the right of and below its place in the table.
+    pub fn place_at(
+        &self,
+        point: ImagePoint,
+        picture: ImageSize,
+        shift: ImagePoint,
+    ) -> Option<Place> {
+        let table = self.description().image_size;
+        let scale = |table: u16, picture: u16| f32::from(table) / f32::from(picture);
+        self.table.place(ImagePoint {
+            u: (point.u - shift.u) * scale(table.width, picture.width),
+            v: (point.v - shift.v) * scale(table.height, picture.height),
+        })
     }
 }
 

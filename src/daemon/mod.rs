@@ -29,6 +29,7 @@ pub mod metrics;
 mod notify;
 pub mod outlet;
 mod output;
+mod overlay;
 pub mod presets;
 pub mod publish;
 mod reload;

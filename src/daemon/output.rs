@@ -41,6 +41,14 @@ impl WholeFile {
         writeln!(self.writer, "{line}").map_err(|source| self.failed(source))
     }
 
+    /// Adds bytes.
+    ///
+    /// # Errors
+    /// [`Failure::Write`].
+    pub fn bytes(&mut self, bytes: &[u8]) -> Result<(), Failure> {
+        self.writer.write_all(bytes).map_err(|source| self.failed(source))
+    }
+
     /// Puts the file in its place.
     ///
     /// # Errors

@@ -4,14 +4,14 @@
 //! are the core's [`crate::sensor`].
 
 use super::exit::Failure;
-use super::frame::Detection;
+use super::frame::{Detection, PixelBox};
 use super::locate::{Anchor, LocateError, Located, Locator};
 use crate::density::{AggregateError, Errors, FrameCounts, Start};
 use crate::lane::{Description, Place};
 use crate::picture::Light;
 use crate::scene::Reference;
 use crate::sensor;
-use crate::units::ImagePoint;
+use crate::units::{ImagePoint, ImageSize};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -58,6 +58,8 @@ pub struct Preset {
     located: Vec<Located>,
     none: FrameCounts,
     counts: FrameCounts,
+    /// How far the scene of its latest picture stands off its place, px of the picture.
+    shift: ImagePoint,
 }
 
 impl Preset {
@@ -69,6 +71,23 @@ impl Preset {
     /// Where a point of the table's picture lies on the road.
     pub fn place(&self, point: ImagePoint) -> Option<Place> {
         self.locator.place(point)
+    }
+
+    /// The point that stands for the vehicle in a box, px of the picture; `None` where it lies
+    /// outside.
+    pub fn contact(&self, bounds: &PixelBox, picture: ImageSize) -> Option<ImagePoint> {
+        self.locator.contact(bounds, picture)
+    }
+
+    /// Where a point of its latest picture, of that size, lies on the road.
+    pub fn place_at(&self, point: ImagePoint, picture: ImageSize) -> Option<Place> {
+        self.locator.place_at(point, picture, self.shift)
+    }
+
+    /// How far the scene of its latest picture stands to the right of and below its place in the
+    /// table, px of the picture.
+    pub fn shift(&self) -> ImagePoint {
+        self.shift
     }
 
     /// How many vehicles of its latest picture are in the lanes.
@@ -95,7 +114,13 @@ impl Presets {
             let locator = Locator::load(file, settings.camera.as_deref(), settings.anchor)?;
             let table = locator.description();
             let none = FrameCounts::new(&table.lanes, table.cell_length_m);
-            Ok(Preset { counts: none.clone(), none, locator, located: Vec::new() })
+            Ok(Preset {
+                counts: none.clone(),
+                none,
+                locator,
+                located: Vec::new(),
+                shift: ImagePoint { u: 0.0, v: 0.0 },
+            })
         };
         let presets = settings.files.iter().map(load).collect::<Result<_, _>>()?;
         Ok(Self { presets, active: 0 })
@@ -165,7 +190,8 @@ impl Presets {
     ) -> Result<&FrameCounts, LocateError> {
         let size = self.presets[preset].locator.check_size(width, height)?;
         self.active = preset;
-        let Preset { locator, located, none, counts } = &mut self.presets[preset];
+        let Preset { locator, located, none, counts, shift: latest } = &mut self.presets[preset];
+        *latest = shift;
         locator.locate(detections, size, shift, located);
         counts.clone_from(none);
         counts.set_light(light);

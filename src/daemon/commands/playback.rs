@@ -11,8 +11,9 @@ use crate::sensor::{ClosedWindow, Outcome, Preset, Windows};
 
 /// What a recording gives as it is played.
 pub enum Played<'a> {
-    /// A frame that went through the line, and what was found in it.
-    Frame(&'a Frame, &'a [Detection]),
+    /// A frame that went through the line, which knows what was found in it, and what became of
+    /// it where it was not counted.
+    Frame(&'a Frame, &'a Line, Option<&'static str>),
     /// A window that has closed.
     Window(ClosedWindow<'a>),
 }
@@ -35,10 +36,10 @@ pub fn play(
         };
         match captured.and_then(|()| line.measure(&player.frame, &mut |_| ())) {
             Ok(outcome) => {
-                player.judged(&outcome);
+                let withheld = player.judged(&outcome);
                 windows.take(time, &outcome, &mut closed);
                 written?;
-                on(Played::Frame(&player.frame, line.found()))?;
+                on(Played::Frame(&player.frame, line, withheld))?;
             }
             Err(fault) => {
                 player.note(&fault);
@@ -104,8 +105,8 @@ impl Player {
         }
     }
 
-    /// Says what a frame was when that changes.
-    fn judged(&mut self, outcome: &Outcome<'_>) {
+    /// Says what a frame was when that changes; returns why it was not counted.
+    fn judged(&mut self, outcome: &Outcome<'_>) -> Option<&'static str> {
         self.measured += 1;
         let is = match outcome {
             Outcome::Withheld(alarm) => Some(alarm.name()),
@@ -114,7 +115,7 @@ impl Player {
             _ => None,
         };
         if is == self.said {
-            return;
+            return is;
         }
         self.said = is;
         let name = &self.frame.name;
@@ -123,6 +124,7 @@ impl Player {
             (Some(is), _) => log::warn!("frame {name} {is}"),
             (None, _) => log::info!("from frame {name} on all is well"),
         }
+        is
     }
 
     fn note(&mut self, fault: &Failure) {

@@ -5,7 +5,8 @@ use super::{ModelArgs, text};
 use crate::daemon::assemble::open_recording;
 use crate::daemon::config::Views;
 use crate::daemon::exit::Failure;
-use crate::daemon::line::LineSettings;
+use crate::daemon::frame::Frame;
+use crate::daemon::line::{Line, LineSettings};
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
 use crate::daemon::presets::{TableSettings, WindowSettings};
@@ -46,6 +47,9 @@ pub struct Args {
     /// Also write each frame's boxes here, JSON Lines
     #[arg(long, value_name = "FILE")]
     detections: Option<PathBuf>,
+    /// Also draw each frame with lanes, boxes, contact points and counts: PNGs in this folder
+    #[arg(long, value_name = "DIR")]
+    overlay: Option<PathBuf>,
     /// Which point of a box stands for the vehicle
     #[arg(long, value_enum, default_value_t)]
     anchor: Anchor,
@@ -77,10 +81,16 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
     let mut short = false;
     let mut heading = (!args.json).then_some(text::LANE_HEADING);
-    play(recorded, &mut line, windows, |played| match (played, &mut detections) {
-        (Played::Frame(frame, found), Some(file)) => file.line(&text::boxes(frame, found)),
-        (Played::Frame(..), None) => Ok(()),
-        (Played::Window(window), _) => {
+    let overlays = args.overlay.as_deref().map(|folder| Overlays::into(folder, &args.frames));
+    let overlays = overlays.transpose()?;
+    play(recorded, &mut line, windows, |played| match played {
+        Played::Frame(frame, line, withheld) => {
+            if let Some(file) = &mut detections {
+                file.line(&text::boxes(frame, line.found()))?;
+            }
+            overlays.as_ref().map_or(Ok(()), |overlays| overlays.write(frame, line, withheld))
+        }
+        Played::Window(window) => {
             let used = |lane: &LaneReport| lane.frames_used * 4 < lane.frames_expected * 3;
             if !short && window.report.lanes.iter().any(used) {
                 short = true;
@@ -97,6 +107,35 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         }
     })?;
     detections.map_or(Ok(()), WholeFile::finish)
+}
+
+/// The folder of drawn frames.
+struct Overlays<'a>(&'a Path);
+
+impl<'a> Overlays<'a> {
+    /// Makes the folder, which is not that of the frames: their names are the drawings' names.
+    fn into(folder: &'a Path, frames: &Path) -> Result<Self, Failure> {
+        let failed = |source| Failure::Write { path: folder.to_owned(), source };
+        std::fs::create_dir_all(folder).map_err(failed)?;
+        let same = folder.canonicalize().ok().zip(frames.canonicalize().ok());
+        if same.is_some_and(|(folder, frames)| folder == frames) {
+            return Err(failed(std::io::Error::new(
+                ErrorKind::AlreadyExists,
+                "the frames lie there; give another folder",
+            )));
+        }
+        Ok(Self(folder))
+    }
+
+    /// `a/b.jpg` becomes `a_b.png`.
+    fn write(&self, frame: &Frame, line: &Line, withheld: Option<&str>) -> Result<(), Failure> {
+        let drawn = line.overlay(frame, withheld.unwrap_or_default())?;
+        let name = Path::new(&frame.name).with_extension("png");
+        let name = name.to_string_lossy().replace(['/', '\\'], "_");
+        let mut file = WholeFile::create(&self.0.join(name))?;
+        file.bytes(&drawn)?;
+        file.finish()
+    }
 }
 
 /// Reads an offset from UTC, s.

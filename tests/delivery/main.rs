@@ -9,6 +9,7 @@
 mod common;
 mod crowd;
 mod disk;
+mod independent;
 
 use common::mosquitto::{Mosquitto, Running, free_port};
 use serde_json::Value;

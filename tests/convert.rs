@@ -298,6 +298,7 @@ mod datex2 {
                 let number = |name| element.attribute(name).and_then(|n| n.parse::<f32>().ok());
                 assert!(number("numberOfInputValuesUsed").is_some_and(|n| n.fract() == 0.0));
                 assert!(number("standardDeviation").is_some_and(|n| n > 0.0));
+                assert!(element.attribute("accuracy").is_none() || number("accuracy") > Some(0.0));
                 let quality = number("supplierCalculatedDataQuality");
                 assert!(quality.is_some_and(|n| (0.0..=100.0).contains(&n)));
             }

@@ -102,6 +102,9 @@ fn write_day(root: &Path, site: usize, day: i64, cells: i32) {
                 seq: day * 1440 + i64::from(minute) + 1,
                 clock_synced: true,
                 rel_err: Some(0.02),
+                ci90: is_known.then_some([0.7, 1.3].map(|share| (density * share) as f32)),
+                calibration_se: known(density * 0.02),
+                counting_se: known(density * 0.15),
             };
             for cell in 0..cells {
                 // Counts of 30 frames in a cell: few values, as boxes have them.
@@ -116,6 +119,9 @@ fn write_day(root: &Path, site: usize, day: i64, cells: i32) {
                     se: None,
                     vehicles: density.map(|density| density * cell_m / 1000.0),
                     occupancy: None,
+                    ci90: None,
+                    calibration_se: None,
+                    counting_se: None,
                     ..row.clone()
                 });
             }

@@ -24,12 +24,14 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
     let said = succeed(&["report", "--archive", text(&archive), "--out", text(&out)]);
     assert!(said.starts_with("2 sites, 25920 rows"), "{said}");
     let csv = read(&out.join("sites/north/average_day_by_lane.csv"));
-    assert!(csv.contains("\n05:45,1,5.0000,30\n05:45,2,,0\n06:00,1,6.0000,30\n"), "{csv}");
-    assert!(csv.contains("\n23:45,2,46.0000,30\n"));
+    // 1.645 times the root of 1/30 (sampling), 0.5 squared (calibration) and 1.5 squared (counting).
+    let rows = "\n05:45,1,5.0000,30,2.3817,7.6183\n05:45,2,,0,,\n06:00,1,6.0000,30,3.3817,8.6183\n";
+    assert!(csv.contains(rows), "{csv}");
+    assert!(csv.contains("\n23:45,2,46.0000,30,43.3817,48.6183\n"));
     let csv = read(&out.join("sites/north/week.csv"));
     // Monday and Wednesday; at 12:00 lanes of 12 and 24.
-    assert!(csv.contains("\n1,12:00,18.0000,30\n") && csv.contains("\n2,12:00,,0\n"), "{csv}");
-    assert!(csv.contains("\n3,12:00,18.0000,30\n"));
+    assert!(csv.contains("\n1,12:00,18.0000,30,15.3817,20.6183\n"), "{csv}");
+    assert!(csv.contains("\n2,12:00,,0,,\n") && csv.contains("\n3,12:00,18.0000,30,"), "{csv}");
     let csv = read(&out.join("sites/north/along_the_road.csv"));
     assert!(csv.contains("\n1,0.0,5.7500,2880\n1,10.0,17.2500,2880\n"), "{csv}");
     let csv = read(&out.join("sites/north/average_day_by_position.csv"));
@@ -41,7 +43,7 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
     // Two of three days; lane 2 has no density for a quarter of the day.
     assert!(csv.contains("north,2026-01-05,2026-01-07,2,2,66.67,58.33,"), "{csv}");
     for (page, charts) in
-        [("index.html", 2), ("sites/north/index.html", 6), ("sites/south/index.html", 6)]
+        [("index.html", 2), ("sites/north/index.html", 7), ("sites/south/index.html", 7)]
     {
         let html = read(&out.join(page));
         assert_eq!(html.matches("<svg").count(), charts, "{page}");
@@ -98,6 +100,44 @@ fn what_is_not_there_is_said() {
     let (code, error) = report(&[]);
     assert_eq!(code, 65, "{error}");
     assert!(error.contains("damaged"), "{error}");
+}
+
+/// Makes a file as it was before the interval of a density was kept: of 16 columns.
+fn age(path: &Path) {
+    use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+    use parquet::arrow::{ArrowWriter, ProjectionMask};
+    let file = std::fs::File::open(path).expect("a file");
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).expect("Parquet");
+    let mask = ProjectionMask::leaves(builder.parquet_schema(), 0..16);
+    let batches: Vec<_> = builder.with_projection(mask).build().expect("a reader").collect();
+    let mut bytes = Vec::new();
+    let schema = batches[0].as_ref().expect("rows").schema();
+    let mut writer = ArrowWriter::try_new(&mut bytes, schema, None).expect("a writer");
+    batches.iter().for_each(|batch| writer.write(batch.as_ref().expect("rows")).expect("memory"));
+    writer.close().expect("memory");
+    std::fs::write(path, bytes).expect("writing a file");
+}
+
+#[test]
+fn files_from_before_the_interval_are_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (archive, out) = (folder.path().join("archive"), folder.path().join("report"));
+    for number in [MONDAY, MONDAY + 1] {
+        day("north", number, &archive);
+    }
+    let path = Partition { site: "north".into(), day: MONDAY }.path(&archive);
+    let mut rows = store::read(&path).expect("a file");
+    age(&path);
+    for row in &mut rows {
+        (row.ci90, row.calibration_se, row.counting_se) = (None, None, None);
+    }
+    assert!(store::read(&path).expect("a file") == rows);
+    succeed(&["report", "--archive", text(&archive), "--out", text(&out)]);
+    let csv = read(&out.join("sites/north/week.csv"));
+    assert!(csv.contains("\n1,12:00,18.0000,30,,\n"), "{csv}");
+    assert!(csv.contains("\n2,12:00,18.0000,30,15.3817,20.6183\n"), "{csv}");
+    let csv = read(&out.join("sites/north/average_day_by_lane.csv"));
+    assert!(csv.contains("\n05:45,1,5.0000,30,,\n"), "not known of all its windows: {csv}");
 }
 
 /// A row as an archiver of before let it in.

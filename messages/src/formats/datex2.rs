@@ -86,6 +86,8 @@ fn concentration(lane: &Lane) -> Option<String> {
     let deviation = lane
         .density_se
         .map_or_else(String::new, |error| format!(" standardDeviation=\"{error:.2}\""));
+    let accuracy =
+        accuracy(lane).map_or_else(String::new, |percent| format!(" accuracy=\"{percent:.1}\""));
     let expected = lane.frames_expected.max(1);
     let quality = 100.0 * (lane.frames_used as f32 / expected as f32).min(1.0);
     let occupancy = lane.space_occupancy.map_or_else(String::new, |share| {
@@ -99,7 +101,7 @@ fn concentration(lane: &Lane) -> Option<String> {
     });
     Some(format!(
         "        <roa:basicData xsi:type=\"roa:TrafficConcentration\">
-          <roa:density numberOfInputValuesUsed=\"{}\"{deviation} \
+          <roa:density{accuracy} numberOfInputValuesUsed=\"{}\"{deviation} \
 supplierCalculatedDataQuality=\"{quality:.1}\">
             <roa:densityOfVehicles>{}</roa:densityOfVehicles>
           </roa:density>{occupancy}
@@ -108,6 +110,14 @@ supplierCalculatedDataQuality=\"{quality:.1}\">
         // `as` saturates.
         density.round() as u32,
     ))
+}
+
+/// "The extent to which the data value may be subject to error, measured as a percentage of the
+/// data value": the further end of the 90 % interval. None of an empty road.
+fn accuracy(lane: &Lane) -> Option<f32> {
+    let (density, [low, high]) = lane.density_veh_km.zip(lane.density_ci90)?;
+    let percent = 100.0 * (high - density).max(density - low) / density;
+    percent.is_finite().then_some(percent)
 }
 
 /// Why a lane has no values.
@@ -162,7 +172,7 @@ id=\"k109f &quot;&lt;&amp;&gt;&quot;, east\" version=\"1\"/>
     <roa:physicalQuantity index=\"1\">
       <roa:physicalQuantity xsi:type=\"roa:SinglePhysicalQuantity\">
         <roa:basicData xsi:type=\"roa:TrafficConcentration\">
-          <roa:density numberOfInputValuesUsed=\"57\" standardDeviation=\"3.50\" \
+          <roa:density accuracy=\"34.0\" numberOfInputValuesUsed=\"57\" standardDeviation=\"3.50\" \
 supplierCalculatedDataQuality=\"95.0\">
             <roa:densityOfVehicles>24</roa:densityOfVehicles>
           </roa:density>

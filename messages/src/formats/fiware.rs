@@ -1,7 +1,7 @@
 //! FIWARE `TrafficFlowObserved` (smart data model of Transportation), NGSI-LD key values.
 //!
-//! The model has no density: `density` with `densityUnit` and `densityStandardError` are
-//! added, as NGSI allows. What is not known is left out, never 0.
+//! The model has no density: `density` with its unit, its 90 % interval and its errors is added, as
+//! NGSI allows. What is not known is left out, never 0.
 
 use crate::{Density, Direction, Lane, Utc, rounded};
 use serde::Serialize;
@@ -32,6 +32,14 @@ struct TrafficFlowObserved<'a> {
     density_unit: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     density_standard_error: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    density_low90: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    density_high90: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    density_calibration_error: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    density_counting_error: Option<f32>,
     frames_used: u32,
     frames_expected: u32,
     sample_zone_status: &'static str,
@@ -69,6 +77,10 @@ fn entity<'a>(
         density: lane.density_veh_km.map(rounded),
         density_unit: lane.density_veh_km.map(|_| DENSITY_UNIT),
         density_standard_error: lane.density_se.map(rounded),
+        density_low90: lane.density_ci90.map(|[low, _]| rounded(low)),
+        density_high90: lane.density_ci90.map(|[_, high]| rounded(high)),
+        density_calibration_error: lane.calibration_se.map(rounded),
+        density_counting_error: lane.counting_se.map(rounded),
         frames_used: lane.frames_used,
         frames_expected: lane.frames_expected,
         sample_zone_status: lane.status.name(),
@@ -120,6 +132,10 @@ mod tests {
                 "density": 24.25,
                 "densityUnit": "veh/km/lane",
                 "densityStandardError": 3.5,
+                "densityLow90": 16.0,
+                "densityHigh90": 32.5,
+                "densityCalibrationError": 0.5,
+                "densityCountingError": 3.5,
                 "framesUsed": 57,
                 "framesExpected": 60,
                 "sampleZoneStatus": "oK",

@@ -25,8 +25,11 @@ struct Zone<'a> {
     /// Tenths of km/h: not measured.
     speed_data: u16,
     sample_zone_status: u8,
-    /// Whole veh/km, an addition.
+    /// Whole veh/km, an addition, as are the ends of its 90 % interval, the lower one rounded
+    /// down and the upper one up.
     density_veh_km: u16,
+    density_low90_veh_km: u16,
+    density_high90_veh_km: u16,
 }
 
 /// The zones of one message, one a line.
@@ -46,6 +49,8 @@ fn zone(message: &Density, lane: &Lane) -> String {
         speed_data: MISSING,
         sample_zone_status: lane.status.number(),
         density_veh_km: number(lane.density_veh_km),
+        density_low90_veh_km: number(lane.density_ci90.map(|[low, _]| low.floor())),
+        density_high90_veh_km: number(lane.density_ci90.map(|[_, high]| high.ceil())),
     };
     serde_json::to_string(&zone).expect("these types have string keys and no failing parts")
 }
@@ -67,11 +72,13 @@ mod tests {
             {\"site\":\"k109f \\\"<&>\\\", east\",\"sampleZone\":1,\
             \"sampleEndTime\":\"2026-01-05T08:01:00.000Z\",\"samplePeriod\":60,\
             \"volumeData\":65535,\"percentOccupancy\":123,\"speedData\":65535,\
-            \"sampleZoneStatus\":2,\"densityVehKm\":24}\n\
+            \"sampleZoneStatus\":2,\"densityVehKm\":24,\
+            \"densityLow90VehKm\":16,\"densityHigh90VehKm\":33}\n\
             {\"site\":\"k109f \\\"<&>\\\", east\",\"sampleZone\":2,\
             \"sampleEndTime\":\"2026-01-05T08:01:00.000Z\",\"samplePeriod\":60,\
             \"volumeData\":65535,\"percentOccupancy\":65535,\"speedData\":65535,\
-            \"sampleZoneStatus\":12,\"densityVehKm\":65535}";
+            \"sampleZoneStatus\":12,\"densityVehKm\":65535,\
+            \"densityLow90VehKm\":65535,\"densityHigh90VehKm\":65535}";
         assert_eq!(zones(&message()), expected);
     }
 

@@ -288,6 +288,9 @@ pub fn of_window(window: &Density) -> Vec<Row> {
             seq: window.seq as i64,
             clock_synced: window.clock_synced,
             rel_err: window.calibration.rel_err,
+            ci90: lane.density_ci90,
+            calibration_se: lane.calibration_se,
+            counting_se: lane.counting_se,
         };
         rows.push(row.clone());
         let Some(cells) = &lane.cells else { continue };
@@ -305,6 +308,9 @@ pub fn of_window(window: &Density) -> Vec<Row> {
                 se: None,
                 vehicles: density.map(|density| density * length_m / 1000.0),
                 occupancy: None,
+                ci90: None,
+                calibration_se: None,
+                counting_se: None,
                 ..row.clone()
             });
         }

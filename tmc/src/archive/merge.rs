@@ -84,7 +84,7 @@ pub(super) fn merge(
 impl Merged {
     /// A window came that is there.
     fn meet(&mut self, first: &[Row], window: &Window) {
-        if first == window.rows {
+        if is_same(first, &window.rows) {
             self.duplicates += 1;
             return;
         }
@@ -111,6 +111,16 @@ impl Merged {
             false
         });
     }
+}
+
+/// Whether these are the rows of one message; an archiver of before kept no interval.
+fn is_same(first: &[Row], rows: &[Row]) -> bool {
+    first.iter().eq(rows)
+        || first.len() == rows.len()
+            && first.iter().zip(rows).all(|(first, row)| {
+                let (ci90, calibration_se, counting_se) = (None, None, None);
+                *first == Row { ci90, calibration_se, counting_se, ..row.clone() }
+            })
 }
 
 /// The rows of those windows that are there already, and what is in the file.

@@ -28,7 +28,8 @@ pub(super) type Chart = (String, Drawing);
 
 /// The charts of a site.
 pub(super) fn of_site(summary: &Summary) -> Vec<Chart> {
-    let mut charts = vec![("average_day_by_lane".to_owned(), day_by_lane(summary))];
+    let mut charts = vec![("average_day".to_owned(), average_day(summary))];
+    charts.push(("average_day_by_lane".into(), day_by_lane(summary)));
     charts.push(("week".into(), week(&format!("{}: average week", summary.site), &summary.week)));
     let lanes = summary.lanes_along();
     if !lanes.is_empty() {
@@ -98,6 +99,49 @@ fn scale(drawing: &mut Drawing, left: f64, top: f64) {
         drawing.text(text, [left + 19.0, y + 4.0], 11.0, Anchor::Start);
     }
     drawing.text("veh/km", [left - 2.0, 28.0], 11.0, Anchor::Start);
+}
+
+/// A curve a lane over the time of day, with a band where the interval is known.
+fn average_day(summary: &Summary) -> Drawing {
+    let lanes = summary.lanes();
+    let hour = |bin: usize| (bin as f64 + 0.5) * 24.0 / BINS as f64;
+    let of = |lane: usize| (0..BINS).map(move |bin| (hour(bin), summary.day_by_lane[bin][lane]));
+    // A curve ends where nothing is known.
+    let curves = |lane: usize| -> Vec<Vec<(f64, Mean)>> {
+        let all: Vec<_> = of(lane).collect();
+        let runs = all.split(|(_, mean)| mean.count == 0).filter(|run| !run.is_empty());
+        runs.map(<[_]>::to_vec).collect()
+    };
+    let ends = |mean: Mean| mean.interval().map(|[_, high]| high).or(mean.value());
+    let highest = lanes
+        .iter()
+        .flat_map(|&lane| of(lane))
+        .filter_map(|(_, mean)| ends(mean))
+        .fold(1.0, f64::max);
+    let top = highest * (1.1 + 0.08 * lanes.len() as f64);
+    let mut axes = Axes::new([WIDTH, 320], [0.0, 24.0], [0.0, top]);
+    let title = format!("{}: average day, with the interval of 90 %", summary.site);
+    axes.labels_at(&title, ["time of day", DENSITY], [hours(), round_ticks([0.0, top])], true);
+    for &lane in &lanes {
+        let Colour(red, green, blue, _) = LANE_COLOURS[lane];
+        for run in curves(lane) {
+            let ends =
+                |(hour, mean): &(f64, Mean)| mean.interval().map(|[low, high]| [*hour, low, high]);
+            for known in run.split(|it| ends(it).is_none()).filter(|known| !known.is_empty()) {
+                let band: Vec<_> = known.iter().filter_map(ends).collect();
+                axes.band(&band, Colour(red, green, blue, 0.18));
+            }
+        }
+    }
+    for (row, &lane) in lanes.iter().enumerate() {
+        for run in curves(lane) {
+            let points: Vec<_> =
+                run.iter().filter_map(|(hour, mean)| Some([*hour, mean.value()?])).collect();
+            axes.curve(&points, 2.0, LANE_COLOURS[lane]);
+        }
+        axes.key(row, &format!("lane {}", lane + 1), LANE_COLOURS[lane]);
+    }
+    axes.finish()
 }
 
 fn day_by_lane(summary: &Summary) -> Drawing {

@@ -73,19 +73,26 @@ fn value(mean: Mean) -> String {
     mean.value().map_or_else(|| ",0".to_owned(), |value| format!("{value:.4},{}", mean.count))
 }
 
+/// The same with the ends of its interval.
+fn value_within(mean: Mean) -> String {
+    let ends =
+        mean.interval().map_or_else(|| ",".to_owned(), |[low, high]| format!("{low:.4},{high:.4}"));
+    format!("{},{ends}", value(mean))
+}
+
 fn tables(summary: &Summary) -> Vec<File> {
     let lanes = summary.lanes();
     // Writing to a string does not fail.
-    let mut day = String::from("time,lane,density_veh_km,windows\n");
+    let mut day = String::from("time,lane,density_veh_km,windows,low90_veh_km,high90_veh_km\n");
     for (bin, means) in summary.day_by_lane.iter().enumerate() {
         for &lane in &lanes {
-            let _ = writeln!(day, "{},{},{}", time(bin), lane + 1, value(means[lane]));
+            let _ = writeln!(day, "{},{},{}", time(bin), lane + 1, value_within(means[lane]));
         }
     }
-    let mut week = String::from("weekday,time,density_veh_km,windows\n");
+    let mut week = String::from("weekday,time,density_veh_km,windows,low90_veh_km,high90_veh_km\n");
     for (weekday, means) in summary.week.iter().enumerate() {
         for (bin, mean) in means.iter().enumerate() {
-            let _ = writeln!(week, "{},{},{}", weekday + 1, time(bin), value(*mean));
+            let _ = writeln!(week, "{},{},{}", weekday + 1, time(bin), value_within(*mean));
         }
     }
     let mut complete = String::from("date,lane,windows_expected,windows_archived,windows_known\n");
@@ -139,11 +146,12 @@ fn tables_along(summary: &Summary) -> Vec<File> {
 /// The page over all sites, and its table.
 pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
     let mut csv = String::from(
-        "site,first_day,last_day,days,lanes,archived_pct,known_pct,mean_density_veh_km\n",
+        "site,first_day,last_day,days,lanes,archived_pct,known_pct,mean_density_veh_km,\
+         low90_veh_km,high90_veh_km\n",
     );
     let mut table = String::from(
         "<table>\n<tr><th>site</th><th>days</th><th>lanes</th><th>archived</th>\
-         <th>with density</th><th>mean veh/km/lane</th></tr>\n",
+         <th>with density</th><th>mean veh/km/lane (90 %)</th></tr>\n",
     );
     let mut day = [Mean::default(); BINS];
     let mut week = vec![[Mean::default(); BINS]; 7];
@@ -159,9 +167,16 @@ pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
             share = [share[0] + archived, share[1] + known];
         }
         let [archived, known] = share.map(|sum| sum / (all + 1) as f64 * 100.0);
-        let mean = summary.mean().value().map_or(String::new(), |mean| format!("{mean:.2}"));
-        let _ =
-            writeln!(csv, "{site},{first},{last},{days},{lanes},{archived:.2},{known:.2},{mean}");
+        let mut mean = summary.mean().value().map_or(String::new(), |mean| format!("{mean:.2}"));
+        let interval = summary.mean().interval();
+        let ends = interval.map_or(",".to_owned(), |[low, high]| format!("{low:.2},{high:.2}"));
+        let _ = writeln!(
+            csv,
+            "{site},{first},{last},{days},{lanes},{archived:.2},{known:.2},{mean},{ends}"
+        );
+        if let Some([low, high]) = interval {
+            let _ = write!(mean, " ({low:.1} to {high:.1})");
+        }
         let _ = writeln!(
             table,
             "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td>{days}</td><td>{lanes}</td>\

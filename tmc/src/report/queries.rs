@@ -22,6 +22,10 @@ const PAST_MS: i64 = 7 * DAY_MS * 5000;
 const DENSITY: &str =
     "(CASE WHEN density_veh_km BETWEEN 0 AND 10000 THEN CAST(density_veh_km AS DOUBLE) END)";
 
+/// The parts of a density's error are known.
+const IS_STATED: &str = "density_veh_km BETWEEN 0 AND 10000 AND density_se BETWEEN 0 AND 10000 \
+    AND calibration_se BETWEEN 0 AND 1000000 AND counting_se BETWEEN 0 AND 1000000";
+
 /// What a report is about.
 #[derive(Clone, Debug)]
 pub(super) struct Scope {
@@ -65,14 +69,20 @@ impl Scope {
 
 /// Average day by lane, week, completeness: of whole lanes, in one pass.
 ///
-/// `weekday` and `bin` are null in the sums by `day`, and `day` in those by time.
+/// `weekday` and `bin` are null in the sums by `day`, and `day` in those by time. Squares have 24
+/// bits as densities have, so that their sums are exact as well.
 pub(super) fn lanes(scope: &Scope) -> String {
     let (condition, local) = (scope.condition(), scope.local());
     format!(
         "SELECT window_s, lane, weekday, bin, day,
-            count(*) AS archived, count(density) AS known, sum(density) AS density
+            count(*) AS archived, count(density) AS known, sum(density) AS density,
+            count(variance) AS stated, sum(variance) AS variance,
+            sum(calibration) AS calibration, sum(counting) AS counting
         FROM (
             SELECT window_s, lane, {DENSITY} AS density,
+                CASE WHEN {IS_STATED} THEN CAST(density_se * density_se AS DOUBLE) END AS variance,
+                CASE WHEN {IS_STATED} THEN CAST(calibration_se AS DOUBLE) END AS calibration,
+                CASE WHEN {IS_STATED} THEN CAST(counting_se AS DOUBLE) END AS counting,
                 ({local}) / {DAY_MS} % 7 AS weekday, ({local}) % {DAY_MS} / {BIN_MS} AS bin,
                 (CAST(\"from\" AS BIGINT) + {PAST_MS}) / {DAY_MS} - {PAST_MS} / {DAY_MS} AS day
             FROM {TABLE} WHERE {condition} AND cell IS NULL)

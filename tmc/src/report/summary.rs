@@ -15,21 +15,41 @@ use std::collections::BTreeMap;
 /// Most cells along a road: more are faults.
 const MOST_CELLS: usize = 4096;
 
-/// A running mean.
+/// Standard errors of a mean within which 90 % of it lies.
+const Z90: f64 = 1.645;
+
+/// A running mean, with its errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mean {
     sum: f64,
     /// Values in it.
     pub count: u64,
+    /// Of those whose parts of error are known.
+    errors: Errors,
+}
+
+/// Sums over values of which sampling, calibration and counting errors are known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Errors {
+    count: u64,
+    /// Of the sampling errors' squares.
+    variance: f64,
+    calibration: f64,
+    counting: f64,
 }
 
 impl Mean {
     fn add(&mut self, other: Self) {
         self.sum += other.sum;
         self.count += other.count;
+        let (errors, others) = (&mut self.errors, other.errors);
+        errors.count += others.count;
+        errors.variance += others.variance;
+        errors.calibration += others.calibration;
+        errors.counting += others.counting;
     }
 
-    /// Takes in another mean's value as one.
+    /// Takes in another mean's value as one, of which no error is known.
     pub fn add_mean(&mut self, other: Self) {
         if let Some(value) = other.value() {
             self.sum += value;
@@ -40,6 +60,19 @@ impl Mean {
     /// The mean; none of nothing.
     pub fn value(self) -> Option<f64> {
         (self.count > 0).then(|| self.sum / self.count as f64)
+    }
+
+    /// The interval that holds the mean with a probability of 90 %; none where an error of one of
+    /// its values is not known.
+    ///
+    /// Sampling errors of windows are independent, and their mean is that much smaller; calibration
+    /// and counting err alike in all of them, and their errors stay.
+    pub fn interval(self) -> Option<[f64; 2]> {
+        let (mean, Errors { count, variance, calibration, counting }) =
+            (self.value()?, self.errors);
+        let n = count as f64;
+        let joint = (variance + calibration.powi(2) + counting.powi(2)).sqrt() / n;
+        (count == self.count).then_some([(mean - Z90 * joint).max(0.0), mean + Z90 * joint])
     }
 }
 
@@ -245,18 +278,32 @@ impl CellGroup {
     }
 }
 
-/// Sums of densities and their counts.
-struct Sums<'a>(&'a PrimitiveArray<Float64Type>, &'a PrimitiveArray<Int64Type>);
+/// Sums of densities and their counts, and of their errors where the query asks for them.
+struct Sums<'a> {
+    density: &'a PrimitiveArray<Float64Type>,
+    known: &'a PrimitiveArray<Int64Type>,
+    errors: Option<(&'a PrimitiveArray<Int64Type>, [&'a PrimitiveArray<Float64Type>; 3])>,
+}
 
 impl<'a> Sums<'a> {
     fn of(batch: &'a RecordBatch) -> Self {
-        Self(column(batch, "density"), column(batch, "known"))
+        let errors = batch.column_by_name("stated").is_some().then(|| {
+            let parts = ["variance", "calibration", "counting"].map(|name| column(batch, name));
+            (column(batch, "stated"), parts)
+        });
+        Self { density: column(batch, "density"), known: column(batch, "known"), errors }
     }
 
     fn get(&self, row: usize) -> Mean {
         // A sum of nothing is null, and 0 below that.
-        let sum = if self.0.is_null(row) { 0.0 } else { self.0.value(row) };
-        Mean { sum, count: self.1.value(row) as u64 }
+        let sum = |of: &PrimitiveArray<Float64Type>| {
+            if of.is_null(row) { 0.0 } else { of.value(row) }
+        };
+        let errors = self.errors.map_or_else(Errors::default, |(count, parts)| {
+            let [variance, calibration, counting] = parts.map(sum);
+            Errors { count: count.value(row) as u64, variance, calibration, counting }
+        });
+        Mean { sum: sum(self.density), count: self.known.value(row) as u64, errors }
     }
 }
 
@@ -292,6 +339,9 @@ mod tests {
             seq: 1,
             clock_synced: true,
             rel_err: None,
+            ci90: None,
+            calibration_se: None,
+            counting_se: None,
         }
     }
 
@@ -342,7 +392,7 @@ mod tests {
         assert_eq!((summary.rows, summary.lanes()), (8, vec![0, 1]));
         assert_eq!(summary.day_by_lane[30][0].value(), Some(15.0));
         assert_eq!(summary.day_by_lane[30][1].value(), None);
-        assert_eq!(summary.week[1][30], Mean { sum: 30.0, count: 2 });
+        assert_eq!((summary.week[1][30].sum, summary.week[1][30].count), (30.0, 2));
         assert_eq!(summary.lanes_along(), [0, 1]);
         let means = |lane: usize| summary.along[lane].means().map(Mean::value).collect::<Vec<_>>();
         assert_eq!(means(0), [Some(30.0), Some(40.0)]);
@@ -356,6 +406,28 @@ mod tests {
         let [archived, known] = summary.completeness(&summary.days[0].1);
         assert!((archived - 3.0 / 2880.0).abs() < 1e-12 && (known - 2.0 / 2880.0).abs() < 1e-12);
         assert_eq!(summary.mean().value(), Some(15.0));
+    }
+
+    #[test]
+    fn the_interval_of_a_mean_is_known_where_that_of_each_window_is() {
+        let errors = |sampling: f32, calibration, counting, row: Row| Row {
+            se: Some(sampling),
+            calibration_se: Some(calibration),
+            counting_se: Some(counting),
+            ..row
+        };
+        let of = |minute: i64, density| lane(60, FROM + minute * 60_000, 1, Some(density));
+        let stated = [errors(3.0, 1.0, 1.5, of(0, 10.0)), errors(4.0, 2.0, 2.5, of(1, 20.0))];
+        let found = summary(stated.to_vec()).day_by_lane[30][0].interval();
+        // Sampling 5 / 2, calibration 3 / 2, counting 4 / 2.
+        let joint = (2.5f64.powi(2) + 1.5f64.powi(2) + 2.0f64.powi(2)).sqrt();
+        let [low, high] = found.expect("all is known");
+        assert!((low - (15.0 - 1.645 * joint)).abs() < 1e-12, "{low}");
+        assert!((high - (15.0 + 1.645 * joint)).abs() < 1e-12, "{high}");
+        let mut partly = stated.to_vec();
+        partly.push(of(2, 10.0));
+        let mean = summary(partly).day_by_lane[30][0];
+        assert_eq!((mean.count, mean.interval()), (3, None));
     }
 
     #[test]

@@ -53,6 +53,12 @@ pub struct Row {
     pub clock_synced: bool,
     /// One standard error of a length from calibration, as a fraction.
     pub rel_err: Option<f32>,
+    /// Interval that holds the density with a probability of 90 %, veh/km.
+    pub ci90: Option<[f32; 2]>,
+    /// One standard error of the density from calibration, veh/km.
+    pub calibration_se: Option<f32>,
+    /// One standard error of the density from counting, veh/km.
+    pub counting_se: Option<f32>,
 }
 
 impl Row {

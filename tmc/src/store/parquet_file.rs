@@ -31,9 +31,13 @@ const SCHEMA: &str = "message density {
     optional float space_occupancy; required int32 frames_used; required int32 frames_expected;
     required int32 status; required int64 seq; required boolean clock_synced;
     optional float calibration_rel_err;
+    optional float density_low90; optional float density_high90;
+    optional float calibration_se; optional float counting_se;
 }";
 /// Columns of the schema, in its order.
-const COLUMNS: usize = 16;
+const COLUMNS: usize = 20;
+/// Those of files from before the interval of a density was measured.
+const COLUMNS_BEFORE: usize = 16;
 
 /// The columns as the query engine knows them.
 pub fn arrow_schema() -> Schema {
@@ -145,6 +149,10 @@ impl<W: Write + Send> Writer<W> {
         put::<Int64Type, W>(&mut group, rows, |row| row.seq)?;
         put::<BoolType, W>(&mut group, rows, |row| row.clock_synced)?;
         put_known::<FloatType, W>(&mut group, rows, |row| row.rel_err)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.ci90.map(|[low, _]| low))?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.ci90.map(|[_, high]| high))?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.calibration_se)?;
+        put_known::<FloatType, W>(&mut group, rows, |row| row.counting_se)?;
         group.close().map(drop)
     }
 }
@@ -176,7 +184,8 @@ fn open(path: &Path) -> Result<SerializedFileReader<File>, Failure> {
     let file = File::open(path).map_err(|source| Failure::reading(path, source))?;
     let reader = guarded(|| SerializedFileReader::new(file));
     let reader = reader.map_err(|error| damaged(path, &error))?;
-    if reader.metadata().file_metadata().schema_descr().num_columns() == COLUMNS {
+    let columns = reader.metadata().file_metadata().schema_descr().num_columns();
+    if [COLUMNS_BEFORE, COLUMNS].contains(&columns) {
         return Ok(reader);
     }
     Err(Failure::content(path, 0, "is no file of verge's archive; keep others out of it"))
@@ -284,6 +293,9 @@ struct Columns {
     seq: Column<Int64Type>,
     clock_synced: Column<BoolType>,
     rel_err: Column<FloatType>,
+    /// Low and high end of the interval, errors of calibration and of counting; none in a file
+    /// from before.
+    errors: Option<[Column<FloatType>; 4]>,
 }
 
 impl Columns {
@@ -311,6 +323,16 @@ impl Columns {
             seq: column(group, 13)?,
             clock_synced: column(group, 14)?,
             rel_err: column(group, 15)?,
+            errors: if group.num_columns() == COLUMNS {
+                Some([
+                    column(group, 16)?,
+                    column(group, 17)?,
+                    column(group, 18)?,
+                    column(group, 19)?,
+                ])
+            } else {
+                None
+            },
         })
     }
 
@@ -333,6 +355,16 @@ impl Columns {
         let seq = all(&mut self.seq, count)?;
         let clock_synced = all(&mut self.clock_synced, count)?;
         let rel_err = known(&mut self.rel_err, count)?;
+        let errors = match &mut self.errors {
+            None => None,
+            Some([low, high, calibration, counting]) => Some([
+                known(low, count)?,
+                known(high, count)?,
+                known(calibration, count)?,
+                known(counting, count)?,
+            ]),
+        };
+        let error = |which: usize, i: usize| errors.as_ref().and_then(|all| all[which][i]);
         let row = |i: usize| Row {
             window_s: window_s[i],
             from_ms: from[i],
@@ -350,6 +382,9 @@ impl Columns {
             seq: seq[i],
             clock_synced: clock_synced[i],
             rel_err: rel_err[i],
+            ci90: error(0, i).zip(error(1, i)).map(|(low, high)| [low, high]),
+            calibration_se: error(2, i),
+            counting_se: error(3, i),
         };
         Ok((0..count).map(row).collect())
     }
@@ -417,6 +452,9 @@ mod tests {
             seq: from_ms / 60_000,
             clock_synced: known,
             rel_err: known.then_some(0.02),
+            ci90: known.then_some([1.0, 2.5]),
+            calibration_se: known.then_some(0.125),
+            counting_se: None,
         }
     }
 

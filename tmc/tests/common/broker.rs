@@ -1,7 +1,7 @@
 //! Mosquitto for a test, and a publisher to it.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
+use rumqttc::{Client, Event, MqttOptions, NetworkOptions, Packet, QoS};
 use std::io::Write;
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
@@ -70,6 +70,9 @@ pub fn publish(port: u16, name: &str, messages: &[(String, String)], pause: Dura
     options.set_keep_alive(Duration::from_secs(30));
     options.set_max_packet_size(1 << 20, 1 << 28);
     let (client, mut connection) = Client::new(options, 64);
+    let mut patience = NetworkOptions::new();
+    patience.set_connection_timeout(60);
+    connection.eventloop.set_network_options(patience);
     let wanted = messages.len();
     let all = messages.to_vec();
     let sender = client.clone();
@@ -81,7 +84,7 @@ pub fn publish(port: u16, name: &str, messages: &[(String, String)], pause: Dura
     });
     let mut acknowledged = 0;
     while acknowledged < wanted {
-        match connection.recv_timeout(Duration::from_secs(20)).expect("an answer") {
+        match connection.recv_timeout(Duration::from_mins(1)).expect("an answer") {
             Ok(Event::Incoming(Packet::PubAck(_))) => acknowledged += 1,
             Ok(_) => {}
             Err(error) => panic!("{error}"),

@@ -73,7 +73,7 @@ pub fn made_day(site: &str, day: i64, root: &Path) {
                 position_m: None,
                 length_m: 20.0,
                 density,
-                se: None,
+                se: known.then_some(1.0),
                 vehicles: None,
                 occupancy: None,
                 frames_used: 30,
@@ -82,6 +82,9 @@ pub fn made_day(site: &str, day: i64, root: &Path) {
                 seq: i64::from(minute) + 1,
                 clock_synced: true,
                 rel_err: None,
+                ci90: density.map(|density| [0.5 * density, 1.5 * density]),
+                calibration_se: known.then_some(0.5),
+                counting_se: known.then_some(1.5),
             };
             for (cell, share) in [0.5, 1.5].into_iter().enumerate() {
                 rows.push(Row {
@@ -89,6 +92,10 @@ pub fn made_day(site: &str, day: i64, root: &Path) {
                     position_m: Some(cell as f32 * 10.0),
                     length_m: 10.0,
                     density: density.map(|density| density * share),
+                    se: None,
+                    ci90: None,
+                    calibration_se: None,
+                    counting_se: None,
                     ..row.clone()
                 });
             }

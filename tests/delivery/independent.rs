@@ -10,7 +10,7 @@ use super::common::mosquitto::{Mosquitto, Running, free_port};
 use super::{PATIENCE, common, listen, name, repetitions, window};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{self, Read};
+use std::io;
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Command, Stdio};

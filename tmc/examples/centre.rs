@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use street::scene::Scene;
 use street::simulation::Simulation;
+use verge_desk::Exit;
+use verge_tmc::failure::Failure;
 use verge_tmc::{archive, report};
 
 const CELL_M: f64 = 10.0;
@@ -65,10 +67,10 @@ fn main() {
     finish(report::run(&Report::parse_from(words).arguments));
 }
 
-fn finish(result: Result<(), verge_tmc::failure::Failure>) {
+fn finish(result: Result<(), Failure>) {
     if let Err(failure) = result {
         eprintln!("{failure}");
-        std::process::exit(failure.code().into());
+        std::process::exit(failure.exit_code().into());
     }
 }
 

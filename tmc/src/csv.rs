@@ -2,8 +2,9 @@
 //!
 //! Fields may stand in double quotes; a quoted field ends on its line.
 
-use crate::failure::{Failure, read_text};
+use crate::gzip::read_text;
 use std::path::{Path, PathBuf};
+use verge_desk::Failure;
 
 /// A table with a header line.
 #[derive(Debug)]

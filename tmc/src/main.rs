@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
-use verge_tmc::failure::{Failure, USAGE};
+use verge_tmc::failure::Failure;
 use verge_tmc::{archive, fit, points, report, score};
 
 /// What a traffic management centre makes of the sensors' densities.
@@ -28,27 +28,13 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
-        Err(error) => {
-            let code = if error.use_stderr() { USAGE } else { 0 };
-            // A closed terminal must not change the exit code.
-            let _ = error.print();
-            return ExitCode::from(code);
+    verge_desk::run_main(|Arguments { command }| -> Result<(), Failure> {
+        match command {
+            Command::Archive(arguments) => archive::run(&arguments),
+            Command::Points(arguments) => Ok(points::run(&arguments)?),
+            Command::Fit(arguments) => Ok(fit::run(&arguments)?),
+            Command::Report(arguments) => report::run(&arguments),
+            Command::Score(arguments) => Ok(score::run(&arguments)?),
         }
-    };
-    let result: Result<(), Failure> = match arguments.command {
-        Command::Archive(arguments) => archive::run(&arguments),
-        Command::Points(arguments) => points::run(&arguments),
-        Command::Fit(arguments) => fit::run(&arguments),
-        Command::Report(arguments) => report::run(&arguments),
-        Command::Score(arguments) => score::run(&arguments),
-    };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("verge-tmc: {failure}");
-            ExitCode::from(failure.code())
-        }
-    }
+    })
 }

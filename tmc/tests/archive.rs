@@ -145,10 +145,16 @@ fn through_tls_it_takes_from_a_broker_that_the_authority_knows() {
     let [ca, certificate, key] = certificates(folder.path());
     let port = free_port();
     let (certificate, key) = (text(&certificate), text(&key));
-    let lines = format!(
-        "listener {port} 127.0.0.1\nallow_anonymous true\ncertfile {certificate}\nkeyfile {key}\n"
-    );
-    let Some(broker) = mosquitto_with(&lines) else { return };
+    let authority = text(&ca);
+    let asking = free_port();
+    let lines = [
+        (port, "allow_anonymous true".to_owned()),
+        (asking, format!("cafile {authority}\nrequire_certificate true")),
+    ]
+    .map(|(port, more)| {
+        format!("listener {port} 127.0.0.1\ncertfile {certificate}\nkeyfile {key}\n{more}\n")
+    });
+    let Some(broker) = mosquitto_with(&lines.concat()) else { return };
     let out = folder.path().join("archive");
     let address = format!("localhost:{port}");
     let archive = |ca: &str, more: &[&str]| {
@@ -162,6 +168,19 @@ fn through_tls_it_takes_from_a_broker_that_the_authority_knows() {
     let output = archive(text(&ca), &["--until-idle", "2"]);
     assert!(output.status.success(), "{}", stderr(&output));
     assert_whole(&out, &["north"], 5);
+    // A broker that asks who is there.
+    let address = format!("localhost:{asking}");
+    let shown = folder.path().join("own.pem");
+    std::fs::copy(key, &shown).expect("copying a file");
+    std::fs::set_permissions(&shown, Permissions::from_mode(0o600)).expect("chmod");
+    let asked = |more: &[&str]| {
+        let args = ["archive", "--broker", &address, "--ca", authority, "--out", text(&out)];
+        tmc(&[&args[..], more, &["--until-idle", "1"]].concat())
+    };
+    assert_eq!(asked(&[]).status.code(), Some(69));
+    let output = asked(&["--cert", certificate, "--key", text(&shown)]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(asked(&["--cert", certificate, "--key", key]).status.code(), Some(65));
     let stranger = tempfile::tempdir().expect("a folder");
     let [other, ..] = certificates(stranger.path());
     let output = archive(text(&other), &[]);
@@ -340,6 +359,13 @@ fn without_a_broker_it_says_so() {
     assert!(error.contains("broker 127.0.0.1:9"), "{error}");
     let (code, error) = failure(&["archive", "--broker", "here", "--out", text(folder.path())]);
     assert_eq!(code, 64, "{error}");
+    let password = folder.path().join("password");
+    std::fs::write(&password, "secret").expect("writing a file");
+    std::fs::set_permissions(&password, Permissions::from_mode(0o644)).expect("chmod");
+    let with = ["archive", "--out", text(folder.path()), "--user", "a", "--password-file"];
+    let (code, error) = failure(&[&with[..], &[text(&password)]].concat());
+    assert_eq!(code, 65, "{error}");
+    assert!(error.contains("others may read it: chmod 600"), "{error}");
     let taken = folder.path().join("file");
     std::fs::write(&taken, "").expect("writing a file");
     let (code, error) = failure(&["archive", "--out", text(&taken)]);

@@ -25,7 +25,7 @@ fn each_outside_crate_has_one_door() {
     let doors = [
         ("parquet::", "src/store/parquet_file.rs"),
         ("rumqttc::", "src/archive/subscriber.rs"),
-        ("tiny_skia::", "src/chart/png.rs"),
+        ("resvg::", "src/chart/png.rs"),
         ("signal_hook::", "src/archive/mod.rs"),
         ("rustls::", "src/archive/tls.rs"),
         ("datafusion::prelude", "src/report/engine.rs"),

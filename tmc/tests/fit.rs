@@ -2,12 +2,13 @@
 
 mod common;
 
-use common::{Numbers, failure, json, shared, skip, succeed, text};
+use common::{Numbers, failure, json, succeed, text};
 use serde_json::Value;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
+use verge_desk::{shared, skip};
 use verge_tmc::fit::Model;
 
 const NAMES: [&str; 3] = ["free_flow_speed_kmh", "jam_density_veh_km", "lambda"];
@@ -144,7 +145,7 @@ fn made_points_fit_as_scipys() {
 
 #[test]
 fn ngsim_fits_as_scipys() {
-    let Some(data) = shared("ngsim_i80_4pm") else { return };
+    let Some(data) = shared("data/ngsim_i80_4pm") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let points = folder.path().join("points.csv");
     succeed(&[
@@ -164,7 +165,7 @@ fn ngsim_fits_as_scipys() {
 
 #[test]
 fn hong_kongs_detectors_fit_as_scipys() {
-    let Some(data) = shared("hk_detectors/hk_hourly_20230901-04.csv.gz") else { return };
+    let Some(data) = shared("data/hk_detectors/hk_hourly_20230901-04.csv.gz") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let points = folder.path().join("points.csv");
     succeed(&["points", "--from", "hk", "--input", text(&data), "--out", text(&points)]);
@@ -180,7 +181,9 @@ fn hong_kongs_detectors_fit_as_scipys() {
 
 #[test]
 fn the_raw_feed_of_hong_kong_is_read() {
-    let Some(data) = shared("hk_detectors/rawSpeedVol-all_20240406T2127.xml.gz") else { return };
+    let Some(data) = shared("data/hk_detectors/rawSpeedVol-all_20240406T2127.xml.gz") else {
+        return;
+    };
     let csv = succeed(&["points", "--from", "hk-raw", "--input", text(&data)]);
     // The first lane: 3 vehicles in 30 s at 66 km/h.
     assert!(
@@ -256,7 +259,7 @@ fn the_plot_is_a_picture_and_nothing_half_written_stays() {
     let table =
         succeed(&["fit", "--model", "newell", "--points", text(&points), "--plot", text(&plot)]);
     assert!(table.contains("capacity_veh_h") && table.contains("95 %"), "{table}");
-    let picture = tiny_skia::Pixmap::load_png(&plot).expect("a PNG");
+    let picture = resvg::tiny_skia::Pixmap::load_png(&plot).expect("a PNG");
     assert_eq!((picture.width(), picture.height()), (1120, 440));
     // The fit is red, the points are blue, both are there.
     let count = |is: fn(u8, u8, u8) -> bool| {

@@ -63,7 +63,7 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
         "sites/north/completeness.png",
         "sites/south/average_day_by_position_lane_2.png",
     ] {
-        assert!(tiny_skia::Pixmap::load_png(out.join(picture)).is_ok(), "{picture}");
+        assert!(resvg::tiny_skia::Pixmap::load_png(out.join(picture)).is_ok(), "{picture}");
     }
     // The same archive gives the same report, whatever the number of threads.
     let again = folder.path().join("again");

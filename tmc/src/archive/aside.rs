@@ -3,10 +3,9 @@
 //! Owns the files there: some messages of each site with their reasons, cut, so that no site
 //! fills the disk with what it may not send; damaged parts of the journal, whole.
 
-use crate::failure::Failure;
-use crate::whole;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use verge_desk::{Failure, make_parent, write_whole};
 
 /// Messages of a site that are kept between two compactions.
 const KEPT: usize = 20;
@@ -105,7 +104,9 @@ impl Aside {
             self.number += 1;
             self.bytes += kept.len() as u64;
             let file = format!("{}-{:08}.txt", self.name, self.number);
-            whole::write(&self.folder.join(file), &kept)?;
+            let path = self.folder.join(file);
+            make_parent(&path)?;
+            write_whole(&path, &kept)?;
         }
         Ok(self.told())
     }

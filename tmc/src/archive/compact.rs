@@ -10,13 +10,13 @@ use super::aside::{self, Aside};
 use super::gaps::{self, Gap};
 use super::journal::{Journal, Segment};
 use super::merge::{self, Merged, Window};
-use crate::failure::Failure;
 use crate::message;
 use crate::store::{DAY_MS, Partition, Row};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use verge_desk::Failure;
 use verge_messages::Density;
 
 /// Partitions that are written at the same time; each holds a row group in memory.

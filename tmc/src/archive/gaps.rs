@@ -3,10 +3,10 @@
 //! A number that is not above the one before it is a box that was started again. No more
 //! windows are missing than there was time for: a box cannot lie about that.
 
-use crate::failure::Failure;
 use crate::store::{self, DAY_MS, Partition, Row, Rows};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use verge_desk::Failure;
 
 /// Messages that are missing between two windows.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]

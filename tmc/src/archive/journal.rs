@@ -6,10 +6,10 @@
 //! a damaged one the next whole record is looked for, byte by byte, and a segment with damage
 //! is kept, for what could not be read in it may have been acknowledged.
 
-use crate::failure::Failure;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use verge_desk::Failure;
 
 /// A segment as large as this is closed, bytes; it is read as a whole.
 pub const SEGMENT_BYTES: u64 = 16 << 20;

@@ -7,11 +7,11 @@
 
 use super::aside;
 use super::gaps::{Edges, Gap, Track};
-use crate::failure::Failure;
 use crate::store::{self, Partition, Row, Rows};
 use std::collections::BTreeSet;
 use std::collections::btree_map::{BTreeMap, Entry};
 use std::path::{Path, PathBuf};
+use verge_desk::Failure;
 
 /// Lengths of windows in one day: a box has six at most, and may be configured anew.
 const MOST_LENGTHS: usize = 12;
@@ -149,6 +149,7 @@ fn write(
     before: &Track,
     merged: &mut Merged,
 ) -> Result<Track, Failure> {
+    remove_partial(path)?;
     let mut rows: Vec<Row> = new.into_values().flat_map(|window| window.rows).collect();
     rows.sort_by_key(Row::key);
     let mut rows = rows.into_iter().peekable();
@@ -171,6 +172,20 @@ fn write(
     })?;
     merged.edges = Edges::of(before, &now);
     Ok(now)
+}
+
+/// Removes what archivers that were killed have left beside a file; one writes at a time.
+fn remove_partial(path: &Path) -> Result<(), Failure> {
+    let Some(entries) = path.parent().and_then(|folder| folder.read_dir().ok()) else {
+        return Ok(());
+    };
+    for entry in entries.map_while(Result::ok) {
+        let left = entry.path();
+        if left.extension().is_some_and(|ending| ending == "partial") {
+            std::fs::remove_file(&left).map_err(|source| Failure::writing(&left, source))?;
+        }
+    }
+    Ok(())
 }
 
 /// Moves a file that cannot be read out of the archive; where to.

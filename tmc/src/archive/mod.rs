@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plain = |name: &str| name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b));
     if arguments.name.is_empty() || !plain(&arguments.name) || !plain(&arguments.group) {
         let hint = "--name and --group are made of letters, digits, '-', '_' and '.'";
-        return Err(Failure::Usage(hint.into()));
+        return Err(Failure::usage(hint));
     }
     Archiver::open(arguments)?.run(arguments, &stop)
 }
@@ -209,11 +209,11 @@ fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
     let (host, port) = address
         .rsplit_once(':')
         .and_then(|(host, port)| Some((host.to_owned(), port.parse().ok()?)))
-        .ok_or_else(|| Failure::Usage(format!("--broker {address:?}: give HOST:PORT")))?;
+        .ok_or_else(|| Failure::usage(format!("--broker {address:?}: give HOST:PORT")))?;
     let credentials = match (&arguments.user, &arguments.password_file) {
         (Some(user), Some(path)) => {
             only_the_owner_reads(path)?;
-            let text = crate::failure::read_text(path)?;
+            let text = verge_desk::read_text(path)?;
             Some((user.clone(), text.trim_end_matches(['\r', '\n']).to_owned()))
         }
         _ => None,
@@ -236,8 +236,9 @@ fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
 }
 
 /// Refuses a secret that others may read.
-fn only_the_owner_reads(path: &Path) -> Result<(), Failure> {
+fn only_the_owner_reads(path: &Path) -> Result<(), verge_desk::Failure> {
     use std::os::unix::fs::PermissionsExt;
+    use verge_desk::Failure;
     let mode = std::fs::metadata(path).map_err(|source| Failure::reading(path, source))?;
     if mode.permissions().mode() & 0o077 == 0 {
         return Ok(());
@@ -283,7 +284,7 @@ impl Compactor {
             }
         };
         let thread = std::thread::Builder::new().name("compact".into()).spawn(work);
-        let failed = |source| Failure::writing(Path::new("a thread"), source);
+        let failed = |source| verge_desk::Failure::writing(Path::new("a thread"), source);
         self.running = Some(thread.map_err(failed)?);
         Ok(())
     }
@@ -291,7 +292,10 @@ impl Compactor {
     fn wait(&mut self) -> Result<(), Failure> {
         match self.running.take().map(JoinHandle::join) {
             None | Some(Ok(())) => Ok(()),
-            Some(Err(_)) => Err(Failure::Print(std::io::Error::other("compaction panicked"))),
+            Some(Err(_)) => {
+                let fault = std::io::Error::other("compaction panicked");
+                Err(verge_desk::Failure::Print(fault).into())
+            }
         }
     }
 }

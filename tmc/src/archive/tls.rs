@@ -1,11 +1,11 @@
 //! TLS to the broker: the door of the crate `rustls`.
 
-use crate::failure::Failure;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ClientConfig, RootCertStore};
 use std::path::Path;
 use std::sync::Arc;
+use verge_desk::Failure;
 
 /// How to talk to a broker through TLS.
 pub(super) struct Tls(pub(super) Arc<ClientConfig>);
@@ -16,7 +16,7 @@ pub(super) struct Tls(pub(super) Arc<ClientConfig>);
 /// # Errors
 /// [`Failure`] names the file and what is wrong with it.
 pub(super) fn load(ca: &Path, client: Option<(&Path, &Path)>) -> Result<Tls, Failure> {
-    let text = crate::failure::read_text(ca)?;
+    let text = verge_desk::read_text(ca)?;
     let wrong =
         |reason: String| Failure::content(ca, 0, format!("{reason}; give PEM certificates"));
     let mut roots = RootCertStore::empty();
@@ -37,11 +37,11 @@ pub(super) fn load(ca: &Path, client: Option<(&Path, &Path)>) -> Result<Tls, Fai
     };
     let own =
         |path: &Path, reason: String| Failure::content(path, 0, format!("{reason}; give PEM"));
-    let text = crate::failure::read_text(certificate)?;
+    let text = verge_desk::read_text(certificate)?;
     let chain = CertificateDer::pem_slice_iter(text.as_bytes())
         .collect::<Result<Vec<_>, _>>()
         .map_err(|error| own(certificate, error.to_string()))?;
-    let text = crate::failure::read_text(key)?;
+    let text = verge_desk::read_text(key)?;
     let secret = PrivateKeyDer::from_pem_slice(text.as_bytes())
         .map_err(|error| own(key, error.to_string()))?;
     let config = config.with_client_auth_cert(chain, secret);

@@ -84,7 +84,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("verge-tmc-cluster: {error}");
-            ExitCode::from(verge_tmc::failure::UNAVAILABLE)
+            ExitCode::from(verge_desk::sysexits::UNAVAILABLE)
         }
     }
 }
@@ -103,7 +103,7 @@ async fn scheduler(bind: SocketAddr) -> Result<(), Box<dyn Error>> {
     let cluster = BallistaCluster::new_from_config(&config).await?;
     let server =
         create_scheduler::<LogicalPlanNode, PhysicalPlanNode>(cluster, Arc::new(config)).await?;
-    verge_tmc::failure::print(&format!("{address}\n"))?;
+    verge_desk::print(&format!("{address}\n"))?;
     tokio::select! {
         done = start_grpc_service_with_listener(listener, server) => Ok(done?),
         () = stopped() => Ok(()),

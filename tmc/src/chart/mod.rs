@@ -1,10 +1,8 @@
 //! Drawing: one list of shapes, written as SVG (for a page) or PNG.
 //!
-//! Owns shapes in pixels and their two renderings; `axes` places data in them, `font` has
-//! the strokes of the PNG's letters.
+//! Owns shapes in pixels and their SVG, of which resvg makes the PNG; `axes` places data in them.
 
 pub mod axes;
-mod font;
 mod png;
 mod svg;
 
@@ -138,7 +136,7 @@ mod tests {
         drawing.text("a < b & \"c\"", [5.0, 20.0], 10.0, Anchor::Start);
         let svg = drawing.svg();
         assert!(svg.contains("a &lt; b &amp; &quot;c&quot;") && svg.ends_with("</svg>\n"), "{svg}");
-        let png = tiny_skia::Pixmap::decode_png(&drawing.png()).unwrap();
+        let png = resvg::tiny_skia::Pixmap::decode_png(&drawing.png()).unwrap();
         let pixel = |x, y| png.pixel(x, y).map(|p| (p.red(), p.green(), p.blue())).unwrap();
         assert_eq!(pixel(2, 2), (255, 0, 0));
         assert_eq!(pixel(58, 2), (255, 255, 255));

@@ -15,9 +15,8 @@ pub use least_squares::Point;
 pub use model::Model;
 
 use crate::csv::Table;
-use crate::failure::{Failure, print};
-use crate::whole;
 use std::path::{Path, PathBuf};
+use verge_desk::{Failure, make_parent, print, write_whole};
 
 /// Column of the density, veh/km/lane.
 pub const DENSITY: &str = "density_veh_km";
@@ -53,7 +52,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let fit = fit(arguments.model, &points, arguments.robust)
         .map_err(|reason| Failure::content(&arguments.points, 0, reason))?;
     if let Some(path) = &arguments.plot {
-        whole::write(path, &plot::drawing(&fit, &points).png())?;
+        make_parent(path)?;
+        write_whole(path, &plot::drawing(&fit, &points).png())?;
     }
     for warning in &fit.warnings {
         eprintln!("verge-tmc: note: {warning}");

@@ -6,8 +6,8 @@
 
 use super::Readings;
 use crate::csv::Table;
-use crate::failure::Failure;
 use std::path::Path;
+use verge_desk::Failure;
 
 /// Readings of every detector, lane and hour.
 pub(super) fn read(path: &Path) -> Result<Readings, Failure> {

@@ -4,8 +4,9 @@
 //! Reads the elements it needs and passes over others; no entities, as the feed has none.
 
 use super::Readings;
-use crate::failure::{Failure, read_text};
+use crate::gzip::read_text;
 use std::path::Path;
+use verge_desk::Failure;
 
 /// From 30 s to an hour.
 const PER_HOUR: f64 = 120.0;

@@ -8,11 +8,10 @@ mod hk_raw;
 mod ngsim;
 mod pems;
 
-use crate::failure::{Failure, print};
 use crate::fit::{DENSITY, SPEED};
-use crate::whole;
 use std::fmt::Write;
 use std::path::PathBuf;
+use verge_desk::{Failure, make_parent, print, write_whole};
 
 /// Speeds above this, km/h, are faults of a detector: none of the roads allows 110.
 const MOST_KMH: f64 = 130.0;
@@ -127,7 +126,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Err(Failure::content(&arguments.input, 0, reason));
     }
     match &arguments.out {
-        Some(path) => whole::write(path, text.as_bytes())?,
+        Some(path) => {
+            make_parent(path)?;
+            write_whole(path, text.as_bytes())?;
+        }
         None => print(&text)?,
     }
     let Readings { kept, empty, implausible, invalid } = readings;

@@ -2,8 +2,9 @@
 //! space (rows) and time (columns), veh/ft over all lanes and ft/s.
 
 use super::{Reading, Readings};
-use crate::failure::{Failure, read_text};
+use crate::gzip::read_text;
 use std::path::{Path, PathBuf};
+use verge_desk::Failure;
 
 const FEET_PER_KM: f64 = 1000.0 / 0.3048;
 const KMH_PER_FT_S: f64 = 0.3048 * 3.6;

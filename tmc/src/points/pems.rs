@@ -5,8 +5,9 @@
 
 use super::Readings;
 use crate::csv::{Column, row};
-use crate::failure::{Failure, read_text};
+use crate::gzip::read_text;
 use std::path::Path;
+use verge_desk::Failure;
 
 const STATION_COLUMNS: usize = 12;
 const LANE_COLUMNS: usize = 5;

@@ -34,7 +34,9 @@ impl Engine {
         cluster: Option<&str>,
         partitions: usize,
     ) -> Result<Self, Failure> {
-        let folder = archive.canonicalize().map_err(|source| Failure::reading(archive, source))?;
+        let folder = archive
+            .canonicalize()
+            .map_err(|source| verge_desk::Failure::reading(archive, source))?;
         let config = SessionConfig::new()
             .with_target_partitions(partitions)
             // The columns' ranges are of no use to these queries, and reading them at the start
@@ -102,7 +104,7 @@ async fn remote(
 ) -> Result<SessionContext, Failure> {
     use ballista::prelude::SessionContextExt;
     let context = SessionContext::remote_with_state(&format!("df://{address}"), state).await;
-    context.map_err(|error| Failure::Usage(format!("--cluster {address:?}: {error}")))
+    context.map_err(|error| Failure::usage(format!("--cluster {address:?}: {error}")))
 }
 
 #[cfg(not(feature = "ballista"))]
@@ -111,5 +113,5 @@ async fn remote(
     _: datafusion::execution::SessionState,
 ) -> Result<SessionContext, Failure> {
     let how = "this program was built without the feature ballista";
-    Err(Failure::Usage(format!("--cluster {address:?}: {how}")))
+    Err(Failure::usage(format!("--cluster {address:?}: {how}")))
 }

@@ -13,14 +13,14 @@ mod summary;
 pub use queries::BINS;
 pub use summary::{Mean, Summary};
 
-use crate::failure::{Failure, print};
+use crate::failure::Failure;
 use crate::store::{self, DAY_MS, Partition, Rows};
-use crate::whole;
 use engine::Engine;
 use queries::Scope;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::task::JoinSet;
+use verge_desk::{Batch, Failure as Desk, print};
 
 /// Parts of a query on a cluster: a site's days are shared out between that many tasks.
 const CLUSTER_PARTITIONS: usize = 8;
@@ -75,18 +75,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .worker_threads(threads)
         .enable_all()
         .build()
-        .map_err(|error| Failure::Usage(format!("--threads {threads}: {error}")))?;
+        .map_err(|error| Desk::Usage(format!("--threads {threads}: {error}")))?;
     let mut all = runtime.block_on(summarise_all(arguments, sites, offset_ms, threads))?;
     let summaries = &mut all.summaries;
     summaries.sort_by(|a, b| a.site.cmp(&b.site));
     if summaries.is_empty() {
         let reason = "has no window of that length; leave --window out for the shortest";
-        let none = || Failure::content(&arguments.archive, 0, reason);
+        let none = || Desk::content(&arguments.archive, 0, reason).into();
         return Err(all.failed.into_iter().next().unwrap_or_else(none));
     }
-    for (name, bytes) in page::index_files(summaries) {
-        whole::write(&arguments.out.join(name), &bytes)?;
-    }
+    write_all(&arguments.out, page::index_files(summaries))?;
     let rows: u64 = summaries.iter().map(|summary| summary.rows).sum();
     let count = summaries.len();
     let index = arguments.out.join("index.html");
@@ -98,7 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         0 => Ok(()),
         failed => {
             let reason = format!("{failed} sites or days could not be read; the others are done");
-            Err(Failure::content(&arguments.archive, 0, reason))
+            Err(Desk::content(&arguments.archive, 0, reason).into())
         }
     }
 }
@@ -157,9 +155,7 @@ async fn summarise_all(
                     if summary.is_empty() {
                         return Ok(None);
                     }
-                    for (name, bytes) in page::site_files(&summary) {
-                        whole::write(&folder.join(name), &bytes)?;
-                    }
+                    write_all(&folder, page::site_files(&summary))?;
                     Ok(Some(summary.without_places()))
                 });
                 (summary, failed)
@@ -172,7 +168,9 @@ async fn summarise_all(
                 match summary {
                     Ok(summary) => all.summaries.extend(summary),
                     // Without its cluster no site can be asked, and a full disk takes none.
-                    Err(failure @ (Failure::Cluster { .. } | Failure::Write { .. })) => {
+                    Err(
+                        failure @ (Failure::Cluster { .. } | Failure::Desk(Desk::Write { .. })),
+                    ) => {
                         return Err(failure);
                     }
                     Err(failure) => all.failed.push(failure),
@@ -180,10 +178,19 @@ async fn summarise_all(
             }
             Err(panic) => {
                 let reason = format!("a site's page could not be made: {panic}");
-                all.failed.push(Failure::content(&arguments.archive, 0, reason));
+                all.failed.push(Desk::content(&arguments.archive, 0, reason).into());
             }
         }
     }
+}
+
+/// Writes files into a folder: all of them or, where one cannot be made, none.
+fn write_all(folder: &Path, files: Vec<page::File>) -> Result<(), Desk> {
+    let mut batch = Batch::default();
+    for (name, bytes) in files {
+        batch.add(&folder.join(name), &bytes)?;
+    }
+    batch.commit()
 }
 
 /// Asks for a site's sums.
@@ -201,7 +208,7 @@ fn damage(archive: &Path, days: &[Partition]) -> Vec<(i64, Failure)> {
     let wrong = |day: &Partition| {
         let failure = Rows::open(&day.path(archive))
             .and_then(|mut rows| rows.try_for_each(|row| row.map(drop)));
-        failure.err().map(|failure| (day.day, failure))
+        failure.err().map(|failure| (day.day, failure.into()))
     };
     days.iter().filter_map(wrong).collect()
 }
@@ -212,7 +219,7 @@ fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
         let Some(text) = text else { return Ok(none) };
         let time: Result<jiff::Timestamp, _> = format!("{text}T00:00:00Z").parse();
         time.map(|time| time.as_millisecond() / DAY_MS)
-            .map_err(|_| Failure::Usage(format!("--{name} {text:?}: give a day as 2026-01-05")))
+            .map_err(|_| Desk::Usage(format!("--{name} {text:?}: give a day as 2026-01-05")))
     };
     let first = limit(&arguments.from, "from", i64::MIN)?;
     // Boxes whose clock was wrong have days that are to come.
@@ -231,12 +238,12 @@ fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
     }
     if sites.is_empty() {
         let reason = "has no day that was asked for; look at --site, --from and --to";
-        return Err(Failure::content(Path::new(&arguments.archive), 0, reason));
+        return Err(Desk::content(Path::new(&arguments.archive), 0, reason).into());
     }
     Ok(sites)
 }
 
-fn offset_ms(text: &str) -> Result<i64, Failure> {
+fn offset_ms(text: &str) -> Result<i64, Desk> {
     let parsed = || {
         let (sign, rest) = text.split_at_checked(1)?;
         let sign = match sign {
@@ -249,7 +256,7 @@ fn offset_ms(text: &str) -> Result<i64, Failure> {
         let right = (0..=14).contains(&hours) && (0..60).contains(&minutes);
         right.then_some(sign * (hours * 60 + minutes) * 60_000)
     };
-    parsed().ok_or_else(|| Failure::Usage(format!("--utc-offset {text:?}: give +HH:MM")))
+    parsed().ok_or_else(|| Desk::Usage(format!("--utc-offset {text:?}: give +HH:MM")))
 }
 
 #[cfg(test)]

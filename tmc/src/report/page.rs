@@ -159,14 +159,7 @@ pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
         let (site, name) = (&summary.site, escaped(&summary.site));
         let (first, last) = span(summary);
         let (days, lanes) = (summary.days.len(), summary.lanes().len());
-        // Days without a file count as missing.
-        let all = summary.days.last().map_or(0, |d| d.0) - summary.days.first().map_or(0, |d| d.0);
-        let mut share = [0.0; 2];
-        for (_, windows) in &summary.days {
-            let [archived, known] = summary.completeness(windows);
-            share = [share[0] + archived, share[1] + known];
-        }
-        let [archived, known] = share.map(|sum| sum / (all + 1) as f64 * 100.0);
+        let [archived, known] = summary.completeness_pct();
         let mut mean = summary.mean().value().map_or(String::new(), |mean| format!("{mean:.2}"));
         let interval = summary.mean().interval();
         let ends = interval.map_or(",".to_owned(), |[low, high]| format!("{low:.2},{high:.2}"));

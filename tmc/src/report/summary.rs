@@ -232,6 +232,17 @@ impl Summary {
         [sum(|w| w.archived) / all, sum(|w| w.known) / all]
     }
 
+    /// The same over all days, in percent; days without a file count as missing.
+    pub fn completeness_pct(&self) -> [f64; 2] {
+        let all = self.days.last().map_or(0, |d| d.0) - self.days.first().map_or(0, |d| d.0) + 1;
+        let mut share = [0.0; 2];
+        for (_, windows) in &self.days {
+            let [archived, known] = self.completeness(windows);
+            share = [share[0] + archived, share[1] + known];
+        }
+        share.map(|sum| sum / all as f64 * 100.0)
+    }
+
     /// The mean density over everything, veh/km/lane.
     pub fn mean(&self) -> Mean {
         let mut mean = Mean::default();

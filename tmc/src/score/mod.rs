@@ -7,11 +7,11 @@
 
 mod read;
 
-use crate::failure::{Failure, print};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::PathBuf;
+use verge_desk::{Failure, print};
 
 /// Arguments of `score`.
 #[derive(clap::Args, Debug)]

@@ -1,11 +1,12 @@
 //! Both sides of a score: density by beginning of the window and lane.
 
 use crate::csv::Table;
-use crate::failure::{Failure, read_text};
+use crate::gzip::read_text;
 use crate::message;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+use verge_desk::Failure;
 use verge_messages::Utc;
 
 /// Beginning of the window, ms since 1970, and lane.

@@ -11,8 +11,8 @@ mod parquet_file;
 
 pub use parquet_file::{Rows, arrow_schema, read, write, write_rows};
 
-use crate::failure::Failure;
 use std::path::{Path, PathBuf};
+use verge_desk::Failure;
 
 /// A day, ms.
 pub const DAY_MS: i64 = 86_400_000;

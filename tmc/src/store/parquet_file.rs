@@ -5,8 +5,6 @@
 //! that a day may be larger than memory.
 
 use super::Row;
-use crate::failure::Failure;
-use crate::whole;
 use datafusion::arrow::datatypes::Schema;
 use parquet::arrow::parquet_to_arrow_schema;
 use parquet::basic::{Compression, Encoding};
@@ -23,6 +21,7 @@ use std::io::{self, BufWriter, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use verge_desk::{Failure, make_parent, write_whole_with};
 
 const SCHEMA: &str = "message density {
     required int32 window_s; required int64 from (TIMESTAMP(MILLIS,true)); required int32 lane;
@@ -69,7 +68,8 @@ pub fn write_rows(
     mut next: impl FnMut() -> Result<Option<Row>, Failure>,
 ) -> Result<(), Failure> {
     let mut broken = None;
-    let written = whole::write_with(path, |file| {
+    make_parent(path)?;
+    let written = write_whole_with(path, |file| {
         let mut buffer = BufWriter::new(file);
         let mut encode = || -> Result<(), ParquetError> {
             let mut writer = Writer::begin(&mut buffer)?;

@@ -39,7 +39,7 @@ pub fn mosquitto_with(lines: &str) -> Option<Mosquitto> {
         .into_iter()
         .find(|path| std::path::Path::new(path).exists());
     let Some(program) = program else {
-        crate::common::skip("mosquitto is not installed");
+        verge_desk::skip("mosquitto is not installed");
         return None;
     };
     let folder = tempfile::tempdir().expect("a folder");

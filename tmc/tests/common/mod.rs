@@ -2,27 +2,9 @@
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 use verge_tmc::store::{self, Partition, Row};
-
-/// Says that a test is skipped. With `VERGE_NO_SKIP=1`, as in CI, that is a failure.
-pub fn skip(reason: &str) {
-    eprintln!("skipped: {reason}");
-    let refused = std::env::var_os("VERGE_NO_SKIP").is_some_and(|value| value == "1");
-    assert!(!refused, "VERGE_NO_SKIP=1, and this test was skipped: {reason}");
-}
-
-/// The shared data beside the project, or a skip. Never a failure: it is not part of the
-/// project and no machine can install it.
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(path);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("skipped: {} is not there", path.display());
-    None
-}
 
 /// Runs verge-tmc.
 pub fn tmc(args: &[&str]) -> Output {

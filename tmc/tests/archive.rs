@@ -123,6 +123,8 @@ fn certificates(folder: &Path) -> [PathBuf; 3] {
     let key = || rcgen::KeyPair::generate().expect("a key");
     let parameters = |name: &str| rcgen::CertificateParams::new([name.to_owned()]).expect("a name");
     let (mut authority, authority_key) = (parameters("authority"), key());
+    // One that signs has another name than what it signs, or OpenSSL takes that for self-signed.
+    authority.distinguished_name.push(rcgen::DnType::CommonName, "authority");
     authority.is_ca = rcgen::IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
     let ca = authority.self_signed(&authority_key).expect("a certificate").pem();
     let (issuer, server_key) = (rcgen::Issuer::new(authority, authority_key), key());

@@ -2,7 +2,8 @@
 
 mod common;
 
-use common::{failure, made_day, made_day as day, succeed, text};
+use common::{failure, made_day, made_day as day, stderr, succeed, text, tmc};
+use serde_json::{Value, json};
 use std::path::Path;
 use verge_tmc::store::{self, Partition};
 
@@ -72,6 +73,35 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
         let bytes = |root: &Path| std::fs::read(root.join(file)).expect("a file");
         assert!(bytes(&out) == bytes(&again), "{file}");
     }
+}
+
+#[test]
+fn sites_have_names_and_places() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (archive, out) = (folder.path().join("archive"), folder.path().join("report"));
+    ["north", "south"].iter().for_each(|site| day(site, MONDAY, &archive));
+    let sites = folder.path().join("sites.csv");
+    let table = "site,name,road,direction,latitude,longitude,bearing\n\
+                 north,\"=Bridge, <b>\",A 1,Harbour,22.25,114.5,90\nwest,,,,,,\n";
+    std::fs::write(&sites, table).expect("writing a file");
+    let args =
+        ["report", "--archive", text(&archive), "--out", text(&out), "--sites", text(&sites)];
+    let output = tmc(&args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("1 sites are not in --sites, the first: south"));
+    for page in ["index.html", "sites/north/index.html"] {
+        assert!(read(&out.join(page)).contains("=Bridge, &lt;b&gt;, A 1, Harbour"), "{page}");
+    }
+    let map: Value = serde_json::from_str(&read(&out.join("sites.geojson"))).expect("JSON");
+    let [north, south] = [0, 1].map(|index| &map["features"][index]);
+    assert_eq!(north["geometry"]["coordinates"], json!([114.5, 22.25]));
+    assert_eq!((&north["id"], &north["properties"]["bearing"]), (&json!("north"), &json!(90.0)));
+    assert_eq!(north["properties"]["known_pct"], 87.5);
+    let density = |end: &str| north["properties"][end].as_f64().expect("a number");
+    assert!(density("low90_veh_km") < density("mean_density_veh_km"));
+    assert_eq!((&south["geometry"], &south["properties"]["name"]), (&Value::Null, &Value::Null));
+    std::fs::write(&sites, "name\nx\n").expect("writing a file");
+    assert_eq!(failure(&args).0, 65);
 }
 
 #[test]

@@ -7,6 +7,7 @@
 mod charts;
 mod engine;
 mod page;
+mod places;
 mod queries;
 mod summary;
 
@@ -16,6 +17,7 @@ pub use summary::{Mean, Summary};
 use crate::failure::Failure;
 use crate::store::{self, DAY_MS, Partition, Rows};
 use engine::Engine;
+use places::Places;
 use queries::Scope;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -34,6 +36,10 @@ pub struct Arguments {
     /// Folder for the report: index.html and a folder for each site.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// What sites are called and where they are: CSV with `site`, and of `name`, `road`,
+    /// `direction`, `latitude`, `longitude` and `bearing` what there is.
+    #[arg(long, value_name = "FILE.csv")]
+    sites: Option<PathBuf>,
     /// Only this site; several times for several.
     #[arg(long, value_name = "NAME")]
     site: Vec<String>,
@@ -65,6 +71,7 @@ pub struct Arguments {
 /// cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let sites = chosen(arguments)?;
+    let places = arguments.sites.as_deref().map_or_else(|| Ok(Places::new()), places::read)?;
     let offset_ms = offset_ms(&arguments.utc_offset)?;
     let threads = arguments
         .threads
@@ -76,7 +83,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .enable_all()
         .build()
         .map_err(|error| Desk::Usage(format!("--threads {threads}: {error}")))?;
-    let mut all = runtime.block_on(summarise_all(arguments, sites, offset_ms, threads))?;
+    let mut all = runtime.block_on(summarise_all(arguments, sites, &places, offset_ms, threads))?;
     let summaries = &mut all.summaries;
     summaries.sort_by(|a, b| a.site.cmp(&b.site));
     if summaries.is_empty() {
@@ -84,11 +91,22 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let none = || Desk::content(&arguments.archive, 0, reason).into();
         return Err(all.failed.into_iter().next().unwrap_or_else(none));
     }
-    write_all(&arguments.out, page::index_files(summaries))?;
+    write_all(&arguments.out, page::index_files(summaries, &places))?;
     let rows: u64 = summaries.iter().map(|summary| summary.rows).sum();
     let count = summaries.len();
     let index = arguments.out.join("index.html");
     print(&format!("{count} sites, {rows} rows: {}\n", index.display()))?;
+    if arguments.sites.is_some() {
+        let named = |summary: &&Summary| places.contains_key(&summary.site);
+        let without: Vec<_> = summaries.iter().filter(|it| !named(it)).collect();
+        if let Some(first) = without.first() {
+            let count = without.len();
+            eprintln!(
+                "verge-tmc: note: {count} sites are not in --sites, the first: {}",
+                first.site
+            );
+        }
+    }
     for failure in &all.failed {
         eprintln!("verge-tmc: {failure}");
     }
@@ -116,6 +134,7 @@ type Site = (String, Vec<Partition>);
 async fn summarise_all(
     arguments: &Arguments,
     sites: Vec<Site>,
+    places: &Places,
     offset_ms: i64,
     threads: usize,
 ) -> Result<All, Failure> {
@@ -136,6 +155,7 @@ async fn summarise_all(
             let folder = arguments.out.join("sites").join(&site);
             let ends = [days[0].day, days[days.len() - 1].day];
             let (without, window_s) = (Vec::new(), arguments.window);
+            let place = places.get(&site).cloned();
             let mut scope = Scope { site, days: ends, without, window_s, offset_ms };
             running.spawn(async move {
                 let mut failed = Vec::new();
@@ -155,7 +175,7 @@ async fn summarise_all(
                     if summary.is_empty() {
                         return Ok(None);
                     }
-                    write_all(&folder, page::site_files(&summary))?;
+                    write_all(&folder, page::site_files(&summary, place.as_ref()))?;
                     Ok(Some(summary.without_places()))
                 });
                 (summary, failed)

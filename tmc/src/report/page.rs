@@ -1,6 +1,7 @@
 //! The files of a report: HTML with its charts inside, PNG, CSV.
 
 use super::charts;
+use super::places::{self, Place, Places};
 use super::queries::BINS;
 use super::summary::{Mean, Summary};
 use crate::chart::Drawing;
@@ -36,7 +37,7 @@ fn page(title: &str, body: &str) -> Vec<u8> {
 }
 
 /// The page, pictures and tables of one site.
-pub(super) fn site_files(summary: &Summary) -> Vec<File> {
+pub(super) fn site_files(summary: &Summary, place: Option<&Place>) -> Vec<File> {
     let mut files = tables(summary);
     let (first, last) = span(summary);
     let mut body = format!(
@@ -45,6 +46,10 @@ pub(super) fn site_files(summary: &Summary) -> Vec<File> {
         summary.window_s.unwrap_or_default(),
         summary.rows
     );
+    let words = place.map_or_else(Vec::new, |place| place.words());
+    if !words.is_empty() {
+        let _ = writeln!(body, "<p>{}</p>", escaped(&words.join(", ")));
+    }
     for (name, drawing) in charts::of_site(summary) {
         body += &drawing.svg();
         files.push((format!("{name}.png"), drawing.png()));
@@ -143,20 +148,22 @@ fn tables_along(summary: &Summary) -> Vec<File> {
     ]
 }
 
-/// The page over all sites, and its table.
-pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
+/// The page over all sites, its table and its map's data.
+pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
     let mut csv = String::from(
         "site,first_day,last_day,days,lanes,archived_pct,known_pct,mean_density_veh_km,\
          low90_veh_km,high90_veh_km\n",
     );
+    let unknown = Place::default();
     let mut table = String::from(
-        "<table>\n<tr><th>site</th><th>days</th><th>lanes</th><th>archived</th>\
+        "<table>\n<tr><th>site</th><th>where</th><th>days</th><th>lanes</th><th>archived</th>\
          <th>with density</th><th>mean veh/km/lane (90 %)</th></tr>\n",
     );
     let mut day = [Mean::default(); BINS];
     let mut week = vec![[Mean::default(); BINS]; 7];
     for summary in summaries {
         let (site, name) = (&summary.site, escaped(&summary.site));
+        let place = places.get(site).unwrap_or(&unknown);
         let (first, last) = span(summary);
         let (days, lanes) = (summary.days.len(), summary.lanes().len());
         let [archived, known] = summary.completeness_pct();
@@ -172,8 +179,10 @@ pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
         }
         let _ = writeln!(
             table,
-            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td>{days}</td><td>{lanes}</td>\
-             <td>{archived:.1} %</td><td>{known:.1} %</td><td>{mean}</td></tr>"
+            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td>{}</td>\
+             <td>{days}</td><td>{lanes}</td>\
+             <td>{archived:.1} %</td><td>{known:.1} %</td><td>{mean}</td></tr>",
+            escaped(&place.words().join(", "))
         );
         for (bin, lanes) in summary.day_by_lane.iter().enumerate() {
             let mut site = Mean::default();
@@ -190,13 +199,17 @@ pub(super) fn index_files(summaries: &[Summary]) -> Vec<File> {
         ("week.png", charts::week("all sites: average week", &week)),
     ];
     let mut body = String::new();
-    let mut files = vec![("sites.csv".to_owned(), csv.into_bytes())];
+    let mut files = vec![
+        ("sites.csv".to_owned(), csv.into_bytes()),
+        ("sites.geojson".to_owned(), places::geojson(summaries, places)),
+    ];
     for (name, drawing) in drawings {
         body += &drawing.svg();
         files.push((name.to_owned(), drawing.png()));
     }
     body += &table;
-    body += "<p>As a table: <a href=\"sites.csv\">sites.csv</a></p>\n";
+    body += "<p>As a table: <a href=\"sites.csv\">sites.csv</a>, as a map's data: \
+             <a href=\"sites.geojson\">sites.geojson</a></p>\n";
     files.push(("index.html".into(), page("Traffic density", &body)));
     files
 }

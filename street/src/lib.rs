@@ -18,7 +18,8 @@
 //! let view = View::at(&scene, 7, snapshot.time_s);
 //! let picture = renderer.render(&street, &snapshot, &view);
 //! let vehicles = truth::vehicles(&street, &snapshot, &view.camera());
-//! let lanes = truth::lanes(street.measured(), &snapshot);
+//! let moved = street.take_moved();
+//! let lanes = truth::lanes(street.measured(), &snapshot, &moved);
 //! # assert_eq!(picture.data.len(), 160 * 120 * 3);
 //! # assert_eq!(lanes.len(), 2);
 //! # let _ = vehicles;
@@ -36,6 +37,7 @@ pub mod recording;
 pub mod render;
 pub mod road;
 pub mod scene;
+pub mod score;
 pub mod simulation;
 mod solid;
 pub mod traffic;

@@ -10,6 +10,7 @@ use clap::{Parser, Subcommand};
 use street::error::Result;
 use street::recording::{self, Recorder};
 use street::scene::Scene;
+use street::score;
 
 /// Simulated street recordings with exact truth.
 #[derive(Parser)]
@@ -39,6 +40,15 @@ enum Command {
         #[arg(long)]
         out: PathBuf,
     },
+    /// Compare what `verge replay --json` measured in a recording with its truth: flow, speed, occupancy.
+    Score {
+        /// The recording's `truth.jsonl`.
+        #[arg(long)]
+        truth: PathBuf,
+        /// The windows, one JSON object a line.
+        #[arg(long)]
+        windows: PathBuf,
+    },
     /// Time frames in memory (traffic, truth, drawing, JPEG) and print JSON.
     Bench {
         /// Scene file.
@@ -60,6 +70,9 @@ fn main() -> ExitCode {
     verge_desk::run_main(|cli: Cli| match cli.command {
         Command::Record { scene, frames, seed, set, out } => Scene::read(&scene, &set)
             .and_then(|scene| recording::write(&scene, frames as usize, seed, &out)),
+        Command::Score { truth, windows } => {
+            score::table(&truth, &windows).and_then(|table: String| Ok(verge_desk::print(&table)?))
+        }
         Command::Bench { scene, frames, seed, set } => {
             Scene::read(&scene, &set).and_then(|scene| bench(&scene, frames, seed))
         }

@@ -21,7 +21,7 @@ use crate::faults::{Picture, View};
 use crate::measured::labelme;
 use crate::render::{Image, Renderer};
 use crate::scene::{Light, Scene};
-use crate::simulation::{Simulation, Snapshot};
+use crate::simulation::{Moved, Simulation, Snapshot};
 use crate::truth::{self, FrameTruth, VehicleTruth};
 
 /// A frame's time in the truth, UTC.
@@ -45,6 +45,7 @@ pub struct Recorder {
     seed: u64,
     next: usize,
     last_seen: Vec<VehicleTruth>,
+    moved: Vec<Moved>,
 }
 
 impl Recorder {
@@ -55,7 +56,8 @@ impl Recorder {
     pub fn new(scene: &Scene, seed: u64) -> Result<Self> {
         let street = Simulation::new(scene, seed)?;
         let renderer = Renderer::new(&street, seed);
-        Ok(Recorder { street, renderer, seed, next: 0, last_seen: Vec::new() })
+        let (last_seen, moved) = (Vec::new(), Vec::new());
+        Ok(Recorder { street, renderer, seed, next: 0, last_seen, moved })
     }
 
     /// The street as it is at the last frame.
@@ -88,6 +90,7 @@ impl Recorder {
             self.street.step(self.street.scene().interval_s);
         }
         self.next += 1;
+        self.moved = self.street.take_moved();
         let snapshot = self.street.snapshot();
         let view = View::at(self.street.scene(), self.seed, snapshot.time_s);
         (snapshot, view)
@@ -111,7 +114,7 @@ impl Recorder {
             time: time.strftime(RFC_3339).to_string(),
             picture: view.picture,
             vehicles,
-            lanes: truth::lanes(self.street.measured(), snapshot),
+            lanes: truth::lanes(self.street.measured(), snapshot, &self.moved),
         }
     }
 }

@@ -80,6 +80,40 @@ pub struct Snapshot {
     pub red: Vec<bool>,
 }
 
+/// What the vehicles of a lane did on its measured stretch since it was last asked, by their footprints'
+/// centres: flow, density and speed by Edie's definitions follow from it, and at the section in the
+/// stretch's middle the count and the time occupancy.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Moved {
+    /// Distance covered by all of them, m.
+    pub distance_m: f64,
+    /// Time spent on the stretch by all of them, s.
+    pub time_s: f64,
+    /// Time for which a vehicle covered the section, s.
+    pub occupied_s: f64,
+    /// Vehicles that passed the section.
+    pub passed: u32,
+}
+
+impl Moved {
+    /// Adds a vehicle of that length that went from one place along the lane to another in `dt_s`.
+    fn add(&mut self, stretch: &MeasuredLane, [from, to]: [f64; 2], length_m: f64, dt_s: f64) {
+        let section = (stretch.near_m + stretch.far_m) / 2.0;
+        let (low, high) = (from.min(to), from.max(to));
+        let part = |near: f64, far: f64| {
+            if high - low < 1e-9 {
+                return f64::from(u8::from((near..far).contains(&low)));
+            }
+            ((high.min(far) - low.max(near)) / (high - low)).max(0.0)
+        };
+        let on_stretch = part(stretch.near_m, stretch.far_m);
+        self.distance_m += on_stretch * (high - low);
+        self.time_s += on_stretch * dt_s;
+        self.occupied_s += dt_s * part(section - length_m / 2.0, section + length_m / 2.0);
+        self.passed += u32::from(low < section && section <= high);
+    }
+}
+
 /// A street whose traffic runs.
 #[derive(Debug, Clone)]
 pub struct Simulation {
@@ -88,6 +122,7 @@ pub struct Simulation {
     lines: Vec<LaneLine>,
     lanes: Vec<LaneTraffic>,
     measured: Vec<MeasuredLane>,
+    moved: Vec<Moved>,
     time_s: f64,
     next_id: u64,
 }
@@ -112,10 +147,12 @@ impl Simulation {
             })
             .collect();
         let scene = scene.clone();
+        let moved = vec![Moved::default(); measured.len()];
         let mut street =
-            Simulation { scene, road, lines, lanes, measured, time_s: start_s, next_id: 1 };
+            Simulation { scene, road, lines, lanes, measured, moved, time_s: start_s, next_id: 1 };
         street.step(-start_s);
         street.time_s = 0.0;
+        street.take_moved();
         Ok(street)
     }
 
@@ -125,8 +162,21 @@ impl Simulation {
         let from_s = self.time_s;
         for step in 0..steps {
             let now_s = from_s + dt_s * step as f64 / steps as f64;
-            for lane in &mut self.lanes {
-                lane.step(now_s, dt_s / steps as f64, &mut self.next_id);
+            let step_s = dt_s / steps as f64;
+            for (index, lane) in self.lanes.iter_mut().enumerate() {
+                let before: Vec<(u64, f64)> = lane.vehicles().map(|v| (v.id, v.front_m)).collect();
+                lane.step(now_s, step_s, &mut self.next_id);
+                let mut before = before.into_iter().peekable();
+                // Both from downstream to upstream; who has gone or come is beyond the stretch.
+                for vehicle in lane.vehicles() {
+                    while before.next_if(|(id, _)| *id < vehicle.id).is_some() {}
+                    let Some((_, front_m)) = before.next_if(|(id, _)| *id == vehicle.id) else {
+                        continue;
+                    };
+                    let length_m = vehicle.model().length_m();
+                    let way = [front_m, vehicle.front_m].map(|m| lane.lane_s(m - length_m / 2.0));
+                    self.moved[index].add(&self.measured[index], way, length_m, step_s);
+                }
             }
         }
         self.time_s = from_s + dt_s;
@@ -135,6 +185,11 @@ impl Simulation {
     /// Changes light and weather; traffic does not mind.
     pub(crate) fn set_light(&mut self, light: Light) {
         self.scene.light = light;
+    }
+
+    /// What each lane's vehicles did since this was last asked, in the scene's order.
+    pub fn take_moved(&mut self) -> Vec<Moved> {
+        std::mem::replace(&mut self.moved, vec![Moved::default(); self.measured.len()])
     }
 
     /// The scene it was made from.

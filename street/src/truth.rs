@@ -11,6 +11,9 @@
 //!   outside the picture do not count.
 //! - lane density: vehicles whose footprint centre lies in the measured stretch, by its length;
 //!   speed: their mean (space mean), null with no vehicle; flow = density x speed.
+//! - since the frame before: distance covered and time spent by all vehicles on the stretch, from
+//!   which flow, density and speed of any time follow by Edie's definitions; vehicles that passed
+//!   its middle, and the time for which one covered it. The first frame has 0.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +24,7 @@ use crate::camera::Camera;
 use crate::faults::Picture;
 use crate::measured::MeasuredLane;
 use crate::outline::{OutlineMap, hull_boxes};
-use crate::simulation::{Placed, Simulation, Snapshot};
+use crate::simulation::{Moved, Placed, Simulation, Snapshot};
 use crate::vehicle::Class;
 use crate::vehicle::mesh::mesh_of;
 
@@ -87,11 +90,19 @@ pub struct LaneTruth {
     pub speed_km_h: Option<f64>,
     /// Length of the stretch, m.
     pub length_m: f64,
+    /// Since the frame before: distance covered by all vehicles on the stretch, m.
+    pub distance_m: f64,
+    /// Likewise time spent, s.
+    pub time_s: f64,
+    /// Likewise time for which a vehicle covered the section in the stretch's middle, s.
+    pub occupied_s: f64,
+    /// Likewise vehicles that passed it.
+    pub passed: u32,
 }
 
-/// The true state of every lane at a snapshot.
-pub fn lanes(measured: &[MeasuredLane], snapshot: &Snapshot) -> Vec<LaneTruth> {
-    let state = |lane: &MeasuredLane| {
+/// The true state of every lane at a snapshot, and what its vehicles have done since the one before.
+pub fn lanes(measured: &[MeasuredLane], snapshot: &Snapshot, moved: &[Moved]) -> Vec<LaneTruth> {
+    let state = |(lane, moved): (&MeasuredLane, &Moved)| {
         let inside = snapshot
             .vehicles
             .iter()
@@ -107,9 +118,13 @@ pub fn lanes(measured: &[MeasuredLane], snapshot: &Snapshot) -> Vec<LaneTruth> {
             flow_veh_h: round(density_veh_km * mean),
             speed_km_h: (!speeds.is_empty()).then(|| round(mean)),
             length_m: round(lane.length_m()),
+            distance_m: round(moved.distance_m),
+            time_s: round(moved.time_s),
+            occupied_s: round(moved.occupied_s),
+            passed: moved.passed,
         }
     };
-    measured.iter().map(state).collect()
+    measured.iter().zip(moved).map(state).collect()
 }
 
 /// The vehicles that a camera sees, nearest first.

@@ -6,6 +6,11 @@ use street::scene::{Signal, Slowdown};
 use street::simulation::Simulation;
 use street::truth;
 
+fn lanes_of(street: &mut Simulation) -> Vec<truth::LaneTruth> {
+    let moved = street.take_moved();
+    truth::lanes(street.measured(), &street.snapshot(), &moved)
+}
+
 fn smallest_gap_m(street: &Simulation) -> f64 {
     let mut smallest = f64::INFINITY;
     for lane in street.lanes() {
@@ -52,7 +57,7 @@ fn a_long_red_fills_the_lane_to_jam_density() {
     scene.lanes[1].inflow_veh_h = 1200.0;
     let mut street = Simulation::new(&scene, 9).expect("a street");
     street.step(240.0);
-    let state = &truth::lanes(street.measured(), &street.snapshot())[1];
+    let state = &lanes_of(&mut street)[1];
     // Cars of 4.73 to 4.89 m with jam gaps about 2 m: 145 veh/km; a stretch of some 50 m
     // quantises that to one vehicle in seven.
     assert!((125.0..=165.0).contains(&state.density_veh_km), "{state:?}");
@@ -71,18 +76,30 @@ fn in_steady_state_the_flow_counted_is_density_times_speed() {
         }
         let mut street = Simulation::new(&scene, seed).expect("a street");
         let before: Vec<u64> = street.lanes().iter().map(|lane| lane.departed()).collect();
-        let mut flow = [0.0; 2];
+        let (mut flow, mut by_edie, mut occupied_s) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+        let mut passed = [0; 2];
         let seconds = 3600;
         for _ in 0..seconds {
             street.step(1.0);
-            for state in truth::lanes(street.measured(), &street.snapshot()) {
+            for state in lanes_of(&mut street) {
                 flow[state.lane - 1] += state.flow_veh_h / f64::from(seconds);
+                let edie = state.distance_m / state.length_m * 3600.0;
+                by_edie[state.lane - 1] += edie / f64::from(seconds);
+                passed[state.lane - 1] += state.passed;
+                occupied_s[state.lane - 1] += state.occupied_s;
             }
         }
         for lane in 0..2 {
             let counted = (street.lanes()[lane].departed() - before[lane]) as f64;
             let error = flow[lane] / counted - 1.0;
             assert!(error.abs() < 0.03, "lane {lane}: k v {:.1}, counted {counted}", flow[lane]);
+            // Counted and by what was covered; the lane's end and its stretch are seconds apart.
+            for flow in [by_edie[lane], f64::from(passed[lane])] {
+                assert!((flow / counted - 1.0).abs() < 0.015, "lane {lane}: {flow}, {counted}");
+            }
+            // Cars and vans of 4.7 to 5.3 m at 50 km/h cover a point for a third of a second.
+            let each_s = occupied_s[lane] / f64::from(passed[lane]);
+            assert!((0.3..0.45).contains(&each_s), "lane {lane}: {each_s} s");
             // Demand of one hour: shifted-exponential headways spread the count by some 3 %.
             assert!((counted / inflow - 1.0).abs() < 0.12, "counted {counted}, demand {inflow}");
         }

@@ -17,6 +17,7 @@ pub use error::{Counting, DensityError, Errors, LOADS, LoadBias, SiteCorrection,
 
 use crate::lane::Lane;
 use crate::picture::Light;
+use crate::traffic::LaneTraffic;
 use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass, millis};
 use core::time::Duration;
 use counts::Series;
@@ -83,6 +84,9 @@ pub struct LaneReport {
     /// is not known. Written as `cells` are.
     #[serde(skip)]
     pub error: Option<DensityError>,
+    /// Flow and speed; `None` where vehicles are not followed. Written as `cells` are.
+    #[serde(skip)]
+    pub traffic: Option<LaneTraffic>,
 }
 
 /// All lanes in one window.
@@ -435,6 +439,7 @@ impl<const W: usize> Aggregator<W> {
             cells: Some(series.cells(division, estimate.map(|_| factor))),
             error: estimate
                 .and_then(|(mean, error)| self.errors.of(mean, error / length_km, length, load)),
+            traffic: None,
         }
     }
 }

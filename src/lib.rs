@@ -1,7 +1,7 @@
 //! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
 //!
 //! The core (`units`, `lane`, `density`, `evidence`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
-//! `picture`, `scene`, `sensor`, `node`) is `no_std` and never allocates: time and temperature come in as
+//! `picture`, `scene`, `track`, `traffic`, `sensor`, `node`) is `no_std` and never allocates: time and temperature come in as
 //! arguments, effects go out as returned values. Behind the features of their names, `messages` turns the
 //! core's values into messages, and `daemon` is the line from camera to broker.
 #![cfg_attr(not(feature = "messages"), no_std)]
@@ -23,6 +23,8 @@ pub mod node;
 pub mod picture;
 pub mod scene;
 pub mod sensor;
+pub mod track;
+pub mod traffic;
 pub mod units;
 pub mod wire;
 

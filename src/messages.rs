@@ -9,6 +9,7 @@ use crate::alarm::Alarm;
 use crate::density::{Cells, LaneReport, MAX_LANE_CELLS, MAX_WINDOW_S, MIN_WINDOW_S};
 use crate::density::{SampleZoneStatus, WindowReport};
 use crate::lane::MAX_NAME;
+use crate::traffic::{LaneTraffic, Section};
 use crate::units::{Direction, MAX_LANES, UtcMs, VehicleClass};
 use crate::wire::{CalibrationRef, DensityMessage, ModelRef, hex};
 use verge_messages as messages;
@@ -53,7 +54,7 @@ pub fn density(message: &DensityMessage, done: Option<bool>) -> messages::Densit
 fn lane(report: &LaneReport) -> messages::Lane {
     let LaneReport { lane, direction, density_veh_km, density_se, vehicles_mean, .. } = report;
     let LaneReport { by_class, space_occupancy, length_m, frames_used, .. } = report;
-    let LaneReport { frames_expected, status, cells, error, .. } = report;
+    let LaneReport { frames_expected, status, cells, error, traffic: moving, .. } = report;
     messages::Lane {
         lane: lane.get(),
         direction: (*direction).into(),
@@ -75,6 +76,41 @@ fn lane(report: &LaneReport) -> messages::Lane {
         density_ci90: error.map(|error| error.ci90.map(rounded)),
         calibration_se: error.map(|error| rounded(error.calibration)),
         counting_se: error.map(|error| rounded(error.counting)),
+        traffic: moving.as_ref().map(traffic),
+    }
+}
+
+fn traffic(traffic: &LaneTraffic) -> messages::Traffic {
+    let LaneTraffic { status, flow_veh_h, flow_ci90, speed_kmh, speed_ci90, .. } = traffic;
+    let LaneTraffic { time_occupancy, time_occupancy_ci90, section, queue_m, .. } = traffic;
+    let LaneTraffic { queue_max_m, density_difference, .. } = traffic;
+    let at_section = |of: fn(&Section) -> Option<f32>| section.as_ref().and_then(of).map(rounded);
+    messages::Traffic {
+        traffic_status: (*status).into(),
+        flow_veh_h: flow_veh_h.map(rounded),
+        flow_ci90: flow_ci90.map(|interval| interval.map(rounded)),
+        speed_kmh: speed_kmh.map(rounded),
+        speed_ci90: speed_ci90.map(|interval| interval.map(rounded)),
+        time_occupancy: time_occupancy.map(rounded),
+        time_occupancy_ci90: time_occupancy_ci90.map(|interval| interval.map(rounded)),
+        passed: section.as_ref().map(|Section { by_class, .. }| {
+            let of = |class: VehicleClass| by_class.get(class.index()).copied().unwrap_or(0);
+            messages::Passed {
+                vehicle: of(VehicleClass::Vehicle),
+                car: of(VehicleClass::Car),
+                van: of(VehicleClass::Van),
+                bus: of(VehicleClass::Bus),
+                truck: of(VehicleClass::Truck),
+                motorcycle: of(VehicleClass::Motorcycle),
+            }
+        }),
+        section_flow_veh_h: at_section(|section| Some(section.flow_veh_h)),
+        speed_time_mean_kmh: at_section(|section| section.speed_time_mean_kmh),
+        headway_s: at_section(|section| section.headway_s),
+        headway_sd_s: at_section(|section| section.headway_sd_s),
+        queue_m: queue_m.map(rounded),
+        queue_max_m: queue_max_m.map(rounded),
+        density_difference: density_difference.map(rounded),
     }
 }
 

@@ -4,29 +4,36 @@
 //!
 //! | offset | bytes | field |
 //! |---|---|---|
-//! | 0 | 1 | format version, 1 to 3 |
+//! | 0 | 1 | format version, 1 to 4 |
 //! | 1 | M | [`DensityMessage`] in postcard, without cells and errors |
 //! | 1+M | C | from version 2: the [`Cells`] of each lane in postcard, an option, lane by lane |
 //! | 1+M+C | E | from version 3: the [`DensityError`] of each lane likewise |
-//! | 1+M+C+E | 4 | CRC-32 (ISO-HDLC) of all bytes before, little-endian |
+//! | 1+M+C+E | T | from version 4: the [`LaneTraffic`] of each lane likewise |
+//! | 1+M+C+E+T | 4 | CRC-32 (ISO-HDLC) of all bytes before, little-endian |
 //!
-//! Versions 1 and 2 are read, version 3 is written.
+//! All four are read. Version 4 is written where a lane has traffic, else version 3, so that what
+//! measures density alone is read by older programs.
 
 use crate::density::{Cells, DensityError, WindowReport};
 use crate::lane::{Description, Name};
+use crate::traffic::LaneTraffic;
 use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 
-/// The format that this code writes.
-pub const VERSION: u8 = 3;
+/// The newest format that this code reads and writes.
+pub const VERSION: u8 = 4;
+/// The format without traffic, which it writes where no lane has any.
+const VERSION_DENSITY: u8 = 3;
 /// The format without cells and errors, which it reads too.
 const VERSION_BARE: u8 = 1;
 /// The format with cells and without errors, which it reads too.
 const VERSION_CELLS: u8 = 2;
-/// Most bytes of a message: eight lanes of at most 67 bytes, each with 32 cells in 135 and
-/// errors in 17, three names, two hashes, counters and framing come to 1,996.
-pub const MAX_MESSAGE: usize = 2048;
+/// Most bytes of a message without traffic: eight lanes of at most 67 bytes, each with 32 cells in
+/// 135 and errors in 17, three names, two hashes, counters and framing come to 1,996.
+pub const MAX_DENSITY_MESSAGE: usize = 2048;
+/// Most bytes of any message: traffic takes 97 bytes a lane more.
+pub const MAX_MESSAGE: usize = MAX_DENSITY_MESSAGE + 8 * 97;
 
 /// The checksum of everything that the project sends in binary.
 pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
@@ -151,7 +158,8 @@ pub fn hex(hash: &[u8; 32]) -> heapless::String<64> {
 pub fn encode<'b>(message: &DensityMessage, buffer: &'b mut [u8]) -> Result<&'b [u8], WireError> {
     let full = WireError::Buffer { actual: buffer.len() };
     let (version, rest) = buffer.split_first_mut().ok_or(full)?;
-    *version = VERSION;
+    let has_traffic = message.report.lanes.iter().any(|lane| lane.traffic.is_some());
+    *version = if has_traffic { VERSION } else { VERSION_DENSITY };
     let mut body_len = 1 + postcard::to_slice(message, rest).map_err(|_| full)?.len();
     for lane in &message.report.lanes {
         let rest = buffer.get_mut(body_len..).ok_or(full)?;
@@ -160,6 +168,12 @@ pub fn encode<'b>(message: &DensityMessage, buffer: &'b mut [u8]) -> Result<&'b 
     for lane in &message.report.lanes {
         let rest = buffer.get_mut(body_len..).ok_or(full)?;
         body_len += postcard::to_slice(&lane.error, rest).map_err(|_| full)?.len();
+    }
+    if has_traffic {
+        for lane in &message.report.lanes {
+            let rest = buffer.get_mut(body_len..).ok_or(full)?;
+            body_len += postcard::to_slice(&lane.traffic, rest).map_err(|_| full)?.len();
+        }
     }
     let (body, rest) = buffer.split_at_mut_checked(body_len).ok_or(full)?;
     let trailer = rest.first_chunk_mut::<4>().ok_or(full)?;
@@ -190,10 +204,16 @@ pub fn decode(bytes: &[u8]) -> Result<DensityMessage, WireError> {
             (lane.cells, rest) = postcard::take_from_bytes::<Option<Cells>>(rest).map_err(body)?;
         }
     }
-    if version >= VERSION {
+    if version >= VERSION_DENSITY {
         for lane in &mut message.report.lanes {
             (lane.error, rest) =
                 postcard::take_from_bytes::<Option<DensityError>>(rest).map_err(body)?;
+        }
+    }
+    if version >= VERSION {
+        for lane in &mut message.report.lanes {
+            (lane.traffic, rest) =
+                postcard::take_from_bytes::<Option<LaneTraffic>>(rest).map_err(body)?;
         }
     }
     if rest.is_empty() { Ok(message) } else { Err(WireError::Body) }

@@ -120,6 +120,7 @@ fn report() -> WindowReport {
             density_veh_km: Some([40.0, 0.0].into_iter().collect()),
         }),
         error: Some(DensityError { calibration: 1.0, counting: 2.0, ci90: [15.0, 25.0] }),
+        traffic: None,
     };
     let (from, to) = (UtcMs(1_767_600_000_000), UtcMs(1_767_600_060_000));
     WindowReport { from, to, lanes: [lane].into_iter().collect() }
@@ -180,6 +181,7 @@ fn what_is_published_stands_in_the_document() {
         frames: payload::Frames::default(),
         stream: payload::Stream::default(),
         camera: None,
+        traffic: None,
         board: payload::Board {
             enclosure_c: None,
             pace: payload::Pace::Full,

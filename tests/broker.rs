@@ -101,6 +101,10 @@ fn health() -> payload::Health {
             shift_px: Some([0.4, -1.2]),
             light: Some(payload::Light::Day),
         }),
+        traffic: Some(payload::Following {
+            longest_interval_s: 0.5,
+            density_difference_veh_km: Some(-0.25),
+        }),
         frames: payload::Frames::default(),
         stream: payload::Stream::default(),
         messages: payload::Messages::default(),

@@ -130,6 +130,7 @@ fn largest_message() -> usize {
             counting: 1.234_567_8e38,
             ci90: [1.234_567_8e38; 2],
         }),
+        traffic: None,
     });
     let message = DensityMessage {
         site: name.clone(),

@@ -64,8 +64,9 @@ struct Counting {
 impl Counting {
     fn open(table: &Path, anchor: Anchor, scene: &Scene) -> Self {
         let settings = TableSettings { anchor, ..TableSettings::of(table) };
-        let tables = Presets::load(&settings).expect("a right table");
+        let mut tables = Presets::load(&settings).expect("a right table");
         let interval = Duration::from_secs_f64(scene.interval_s);
+        tables.follow(130.0, interval);
         let windows =
             tables.windows(&WindowSettings::recorded(QUARTER), interval, &Errors::default());
         Self { tables, windows: Windows::new(windows.expect("right windows")) }
@@ -74,11 +75,11 @@ impl Counting {
     fn count(&mut self, detections: &[Detection], scene: &Scene, time: UtcMs) {
         let size = (scene.camera.width as usize, scene.camera.height as usize);
         let unmoved = ImagePoint { u: 0.0, v: 0.0 };
-        let counts = self
+        let (counts, moves) = self
             .tables
-            .count(0, detections, size, unmoved, Light::Day)
+            .count(0, detections, (time, size), unmoved, Light::Day)
             .expect("the table's camera");
-        let outcome = Outcome::Measured { preset: 0, counts };
+        let outcome = Outcome::Measured { preset: 0, counts, moves };
         self.windows.take(time, &outcome, &mut |window| panic!("too early: {window:?}"));
     }
 
@@ -215,6 +216,63 @@ fn density_by_position_is_the_streets_own_from_the_upstream_end() {
         assert!(lane >= 3 || share < 0.7 * turned, "lane {}", lane + 1);
     }
     assert!(worst < 0.08, "{worst}");
+}
+
+/// Flow, speed and occupancy by the line from true boxes, against the street's own, for two minutes.
+fn two_minutes(name: &str, scene: &Scene, seed: u64) {
+    let folder = common::folder();
+    let mut recorder = Recorder::new(scene, seed).expect("a street");
+    let table = write_table(scene, &recorder, folder.path());
+    let mut line = Counting::open(&table, Anchor::GroundContact, scene);
+    let interval = Duration::from_secs_f64(scene.interval_s);
+    let frames = (120.0 / scene.interval_s) as u32;
+    let mut truth = vec![[0.0; 4]; scene.lanes.len()];
+    for frame in 0..frames {
+        let seen = recorder.next_truth();
+        for (sums, lane) in truth.iter_mut().zip(&seen.lanes) {
+            let covered = [lane.distance_m, lane.time_s, lane.occupied_s, lane.passed.into()];
+            sums.iter_mut().zip(covered).for_each(|(sum, value)| *sum += value);
+        }
+        line.count(&detections(&seen), scene, START.saturating_add(interval * frame));
+    }
+    let seconds = f64::from(frames - 1) * scene.interval_s;
+    for (report, [distance_m, time_s, occupied_s, passed]) in line.finish().lanes.iter().zip(truth)
+    {
+        let lane = report.lane.get();
+        let traffic = report.traffic.as_ref().expect("followed");
+        let flow = distance_m / f64::from(report.length_m) / seconds * 3600.0;
+        let (speed, occupancy) = (distance_m / time_s * 3.6, occupied_s / seconds);
+        let known = |value: Option<f32>| f64::from(value.expect("known"));
+        let found = (
+            known(traffic.flow_veh_h),
+            known(traffic.speed_kmh),
+            known(traffic.time_occupancy),
+            traffic.section.as_ref().expect("known").by_class.iter().sum::<u16>(),
+        );
+        eprintln!(
+            "{name}, {} s, lane {lane}: flow {flow:.0}, speed {speed:.1}, occupancy {occupancy:.3}, \
+             {passed} passed; found {found:.1?}",
+            scene.interval_s
+        );
+        assert!((found.0 / flow - 1.0).abs() < 0.05, "flow");
+        assert!((found.1 - speed).abs() < (0.03 * speed).max(if speed < 30.0 { 2.0 } else { 0.0 }));
+        let density = known(report.density_veh_km);
+        assert!(
+            (found.0 - density * found.1).abs() < 0.02 * found.0,
+            "flow is density times speed"
+        );
+        assert!((f64::from(found.3) - passed).abs() <= 1.0, "vehicles that passed");
+        assert!((found.2 - occupancy).abs() < 0.05, "occupancy");
+    }
+}
+
+#[test]
+fn flow_and_speed_are_the_streets_own() {
+    for (traffic, interval_s) in [("free flow", 0.2), ("queue", 0.2), ("stop-and-go", 0.08)] {
+        let scene = Scene { interval_s, ..curve(traffic) };
+        two_minutes(traffic, &scene, 4);
+    }
+    two_minutes("freeway", &Scene { interval_s: 0.2, ..shipped("freeway") }, 5);
 }
 
 const HEADING: &str = "| traffic | seed | lane | truth veh/km | ground contact | box centre |\n\

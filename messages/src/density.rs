@@ -1,7 +1,7 @@
 //! The density of one window of one site, and the check that every reader relies on.
 
 use crate::wrong::{count, known, name, number, sha256};
-use crate::{SCHEMA, Schema, Status, Utc, Wrong};
+use crate::{SCHEMA, Schema, Status, Traffic, Utc, Wrong};
 use serde::{Deserialize, Serialize};
 
 /// Most lanes of a camera.
@@ -136,6 +136,13 @@ pub struct Lane {
         schemars(extend("x-since" = "0.2"), range(min = 0, max = MOST_CI_VEH_KM))
     )]
     pub counting_se: Option<f32>,
+    /// Flow, speed and occupancy, where vehicles are followed.
+    #[serde(
+        flatten,
+        deserialize_with = "crate::traffic::read",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub traffic: Option<Traffic>,
 }
 
 /// Which way a lane's traffic moves, as the camera sees it.
@@ -308,7 +315,8 @@ impl Lane {
     fn check(&self) -> Result<(), Wrong> {
         let Self { lane, direction: _, density_veh_km, density_se, vehicles_mean, .. } = self;
         let Self { by_class, space_occupancy, length_m, frames_used, frames_expected, .. } = self;
-        let Self { status: _, cells, density_ci90, calibration_se, counting_se, .. } = self;
+        let Self { status: _, cells, density_ci90, calibration_se, counting_se, traffic, .. } =
+            self;
         count("lane", (*lane).into(), 1, MOST_LANES.into())?;
         known("density_veh_km", *density_veh_km, MOST_VEH_KM)?;
         known("density_se", *density_se, MOST_VEH_KM)?;
@@ -326,6 +334,7 @@ impl Lane {
             number("density_ci90[0]", low, 0.0, MOST_CI_VEH_KM)?;
             number("density_ci90[1]", high, low, MOST_CI_VEH_KM)?;
         }
+        traffic.as_ref().map_or(Ok(()), Traffic::check)?;
         let Some(cells) = cells else { return Ok(()) };
         cells.check(*length_m).map_err(|wrong| wrong.inside("cells"))
     }

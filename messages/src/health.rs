@@ -36,6 +36,9 @@ pub struct Health {
     pub stream: Stream,
     /// What became of the messages since start.
     pub messages: Messages,
+    /// How vehicles are followed; null where they are not.
+    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.2")))]
+    pub traffic: Option<Following>,
     /// The box around the camera.
     pub board: Board,
     /// Faults of the program that the line survived since start.
@@ -102,6 +105,18 @@ pub enum Light {
     Day,
     /// Dark.
     Night,
+}
+
+/// How vehicles are followed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "traffic"))]
+pub struct Following {
+    /// The longest time between two pictures with which they can be, s
+    pub longest_interval_s: f32,
+    /// The largest difference of a lane between its density by the mean of pictures and by Edie's
+    /// definition, in the latest of the shortest windows, veh/km, with its sign; null where no
+    /// lane has one. They are the same where both are right.
+    pub density_difference_veh_km: Option<f32>,
 }
 
 /// What became of a stream's frames since start.

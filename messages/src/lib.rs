@@ -34,6 +34,7 @@ mod read;
 mod status;
 mod time;
 mod topic;
+mod traffic;
 mod wrong;
 
 pub use alarm::{Alarm, AlarmMessage};
@@ -41,12 +42,15 @@ pub use density::{
     ByClass, Calibration, Cells, Density, Direction, LONGEST_WINDOW_S, Lane, MOST_CELLS,
     MOST_LANES, Model, SHORTEST_WINDOW_S, rounded,
 };
-pub use health::{Aim, Board, BoardFaults, Camera, Frames, Health, Light, Messages, Pace, Stream};
+pub use health::{
+    Aim, Board, BoardFaults, Camera, Following, Frames, Health, Light, Messages, Pace, Stream,
+};
 pub use presence::Presence;
 pub use read::{ReadError, read};
 pub use status::Status;
 pub use time::{Utc, rfc3339};
 pub use topic::{Topic, window_name};
+pub use traffic::{Passed, Traffic};
 pub use wrong::Wrong;
 
 use serde::{Deserialize, Serialize};

@@ -12,12 +12,13 @@ use super::frame::Frame;
 use super::line::{Line, LineSettings};
 use super::locate::Anchor;
 use super::outlet::Outlet;
-use super::presets::{TableSettings, WindowSettings};
+use super::presets::{Following, TableSettings, WindowSettings};
 use super::publish::{Identity, MqttSettings, Tls};
 use super::spool::Spool;
 use super::station::Station;
 use crate::density::Start;
 use crate::sensor::{Preset, Sensor, Windows};
+use crate::track::rate::DEFAULT_TOP_KMH;
 use std::path::Path;
 use std::time::Duration;
 
@@ -73,7 +74,8 @@ pub fn open_recording(
     utc_offset_s: i32,
 ) -> Result<(Recorded, Line, Windows<Vec<Preset>>), Failure> {
     let recorded = Recorded::open_local(frames, interval, utc_offset_s)?;
-    let line = Line::open(settings)?;
+    let mut line = Line::open(settings)?;
+    line.follow(DEFAULT_TOP_KMH, recorded.interval());
     let presets = line.windows(windows, recorded.interval())?;
     Ok((recorded, line, Windows::new(presets)))
 }
@@ -128,7 +130,8 @@ pub fn camera(config: &Config, line: Option<&Line>) -> Result<SourceSettings, Fa
                 interval,
                 timeout,
                 size,
-                every_picture: false,
+                every_picture: line
+                    .is_some_and(|line| matches!(line.following(), Following::On { .. })),
             })
         }
     })
@@ -152,6 +155,9 @@ pub fn open_line(config: &Config) -> Result<Line, Failure> {
     };
     let mut line = Line::open(&settings)?;
     line.keep_within(config.interval())?;
+    if config.traffic.enabled {
+        line.follow(config.traffic.top_speed_kmh, config.interval());
+    }
     Ok(line)
 }
 

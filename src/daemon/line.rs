@@ -11,7 +11,7 @@ use super::detect::{Detector, LoadOptions, Share};
 use super::exit::Failure;
 use super::frame::{Detection, Frame, PixelBox};
 use super::overlay;
-use super::presets::{Preset, Presets, TableSettings, WindowSettings};
+use super::presets::{Following, Preset, Presets, TableSettings, WindowSettings};
 use super::scene::{Scene, View};
 use super::vehicles::{self, Vehicles};
 use crate::density::{Errors, SiteCorrection};
@@ -111,6 +111,7 @@ pub struct Line {
     /// What is known of errors of counting.
     errors: Errors,
     found: Vec<Detection>,
+    following: Following,
 }
 
 impl Line {
@@ -158,7 +159,19 @@ impl Line {
         };
         let parts = presets.iter().map(parts).collect();
         let found = Vec::new();
-        Ok(Self { detector, scene, judging, presets, parts, vehicles, sizes, errors, found })
+        let following = Following::Off;
+        Ok(Self {
+            detector,
+            scene,
+            judging,
+            presets,
+            parts,
+            vehicles,
+            sizes,
+            errors,
+            found,
+            following,
+        })
     }
 
     /// Windows over the lanes of its tables, for a camera with this time between frames.
@@ -171,6 +184,17 @@ impl Line {
         interval: Duration,
     ) -> Result<Vec<sensor::Preset>, Failure> {
         self.presets.windows(settings, interval, &self.errors)
+    }
+
+    /// From now on vehicles of up to `top_kmh` are followed, where a picture each `interval`
+    /// suffices. To be called before [`Self::windows`].
+    pub fn follow(&mut self, top_kmh: f32, interval: Duration) {
+        self.following = self.presets.follow(top_kmh, interval);
+    }
+
+    /// Whether vehicles are followed.
+    pub const fn following(&self) -> Following {
+        self.following
     }
 
     /// Searches each picture once, and not its far part again, where the net is too slow for
@@ -233,9 +257,10 @@ impl Line {
             observe(Stage::Read);
         }
         let light = self.choose(preset, size);
-        let counts = self.presets.count(preset, &self.found, size, shift, light)?;
+        let when = (frame.time, size);
+        let (counts, moves) = self.presets.count(preset, &self.found, when, shift, light)?;
         observe(Stage::Count);
-        Ok(Outcome::Measured { preset, counts })
+        Ok(Outcome::Measured { preset, counts, moves })
     }
 
     /// Leaves the vehicles in what was found, and shows the scene where none stands. Returns the

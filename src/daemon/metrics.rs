@@ -126,7 +126,7 @@ impl Metrics {
             text.sample(&[("window", &window_name(*length))], report.to.0 as f64 / 1000.0);
         }
         type Quantity = (&'static str, &'static str, fn(&LaneReport) -> Option<f32>);
-        let quantities: [Quantity; 5] = [
+        let quantities: [Quantity; 9] = [
             (
                 "verge_lane_density_vehicles_per_kilometre",
                 "Density of the latest window in one lane.",
@@ -148,6 +148,24 @@ impl Metrics {
                 |lane| Some(lane.frames_used as f32 / lane.frames_expected.max(1) as f32),
             ),
             ("verge_lane_length_metres", "Length of the lane.", |lane| Some(lane.length_m)),
+            (
+                "verge_lane_flow_vehicles_per_hour",
+                "Flow of the latest window in one lane.",
+                |lane| lane.traffic.as_ref()?.flow_veh_h,
+            ),
+            (
+                "verge_lane_speed_kilometres_per_hour",
+                "Space-mean speed of the latest window in one lane.",
+                |lane| lane.traffic.as_ref()?.speed_kmh,
+            ),
+            (
+                "verge_lane_time_occupancy_ratio",
+                "Share of the time for which a vehicle covered the lane's section.",
+                |lane| lane.traffic.as_ref()?.time_occupancy,
+            ),
+            ("verge_lane_queue_metres", "Mean length of the longest queue.", |lane| {
+                lane.traffic.as_ref()?.queue_m
+            }),
         ];
         for (name, help, value) in quantities {
             text.family(name, "gauge", help);
@@ -217,6 +235,7 @@ mod tests {
             status: SampleZoneStatus::Ok,
             cells: None,
             error: None,
+            traffic: None,
         };
         WindowReport {
             from: UtcMs(1_767_600_000_000),
@@ -238,6 +257,7 @@ mod tests {
             frames: Frames { measured: 7, unchanged: 1, damaged: 2, missing: 3, withheld: 8 },
             stream: Stream::default(),
             camera: None,
+            traffic: None,
             board: Board {
                 enclosure_c: None,
                 pace: crate::daemon::publish::payload::Pace::Half,

@@ -11,7 +11,8 @@ use crate::lane::{Description, Place};
 use crate::picture::Light;
 use crate::scene::Reference;
 use crate::sensor;
-use crate::units::{ImagePoint, ImageSize};
+use crate::track::{LaneMoves, Sighting, Tracker};
+use crate::units::{ImagePoint, ImageSize, UtcMs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -51,6 +52,61 @@ impl WindowSettings {
     }
 }
 
+/// Whether vehicles are followed, which flow and speed need.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Following {
+    /// Nobody asked for it.
+    #[default]
+    Off,
+    /// They are.
+    On {
+        /// Time between two pictures.
+        interval: Duration,
+        /// The longest with which they can be.
+        longest: Duration,
+    },
+    /// Pictures come too seldom.
+    TooSeldom {
+        /// Time between two pictures.
+        interval: Duration,
+        /// The longest with which they could be.
+        longest: Duration,
+    },
+    /// A lane is so short that no camera gives enough pictures of a fast vehicle.
+    TooShort {
+        /// Highest speed, km/h.
+        top_kmh: f32,
+    },
+}
+
+impl std::fmt::Display for Following {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // Milliseconds tell 5 pictures a second from 4.9.
+        let s = |time: &Duration| (time.as_secs_f64() * 1000.0).round() / 1000.0;
+        match self {
+            Self::Off => write!(f, "density alone, as configured (traffic.enabled)"),
+            Self::On { interval, longest } => write!(
+                f,
+                "flow and speed too: a picture each {} s, these lanes need one each {} s",
+                s(interval),
+                s(longest)
+            ),
+            Self::TooSeldom { interval, longest } => write!(
+                f,
+                "density alone: a picture comes each {} s, flow and speed on these lanes need one \
+                 each {} s (camera.interval_s, traffic.top_speed_kmh)",
+                s(interval),
+                s(longest)
+            ),
+            Self::TooShort { top_kmh } => write!(
+                f,
+                "density alone: a lane is too short to follow vehicles of {top_kmh} km/h; paint \
+                 longer lanes, or lower traffic.top_speed_kmh"
+            ),
+        }
+    }
+}
+
 /// One lane table and the count of its latest picture.
 #[derive(Debug)]
 pub struct Preset {
@@ -60,6 +116,9 @@ pub struct Preset {
     counts: FrameCounts,
     /// How far the scene of its latest picture stands off its place, px of the picture.
     shift: ImagePoint,
+    /// Follows the vehicles on the lanes, where pictures come often enough.
+    tracker: Option<Tracker>,
+    moves: Option<LaneMoves>,
 }
 
 impl Preset {
@@ -120,6 +179,8 @@ impl Presets {
                 locator,
                 located: Vec::new(),
                 shift: ImagePoint { u: 0.0, v: 0.0 },
+                tracker: None,
+                moves: None,
             })
         };
         let presets = settings.files.iter().map(load).collect::<Result<_, _>>()?;
@@ -141,10 +202,29 @@ impl Presets {
             let table = preset.table();
             let mut windows =
                 sensor::Preset::new(table, lengths, interval, *min_completeness, *start)?;
+            if let Some(tracker) = &preset.tracker {
+                windows.follow(lengths, tracker.longest_interval(), *min_completeness);
+            }
             windows.set_errors(table.length_rel_err, errors.clone());
             Ok::<_, AggregateError>(windows)
         };
         Ok(self.presets.iter().map(of).collect::<Result<_, _>>()?)
+    }
+
+    /// From now on the vehicles of each table are followed, with a picture each `interval`, where
+    /// that suffices for all of them. To be called before [`Self::windows`].
+    pub fn follow(&mut self, top_kmh: f32, interval: Duration) -> Following {
+        let tracker = |preset: &Preset| Tracker::new(&preset.table().lanes, top_kmh);
+        let trackers: Option<Vec<Tracker>> = self.presets.iter().map(tracker).collect();
+        let Some(trackers) = trackers else { return Following::TooShort { top_kmh } };
+        let longest = trackers.iter().map(Tracker::longest_interval).min().unwrap_or_default();
+        if interval > longest {
+            return Following::TooSeldom { interval, longest };
+        }
+        for (preset, tracker) in self.presets.iter_mut().zip(trackers) {
+            preset.tracker = Some(tracker);
+        }
+        Following::On { interval, longest }
     }
 
     /// The reference of each preset's table.
@@ -175,7 +255,7 @@ impl Presets {
         self.active().locator.check_size(width, height).map(|_| ())
     }
 
-    /// Counts the vehicles of a picture of that preset. The scene stands `shift` (px of the
+    /// Counts the vehicles of a picture of that preset, taken at `time`, and follows them. The scene stands `shift` (px of the
     /// picture) to the right of and below its place in the table.
     ///
     /// # Errors
@@ -184,20 +264,26 @@ impl Presets {
         &mut self,
         preset: usize,
         detections: &[Detection],
-        (width, height): (usize, usize),
+        (time, (width, height)): (UtcMs, (usize, usize)),
         shift: ImagePoint,
         light: Light,
-    ) -> Result<&FrameCounts, LocateError> {
+    ) -> Result<(&FrameCounts, Option<&LaneMoves>), LocateError> {
         let size = self.presets[preset].locator.check_size(width, height)?;
         self.active = preset;
-        let Preset { locator, located, none, counts, shift: latest } = &mut self.presets[preset];
+        let Preset { locator, located, none, counts, shift: latest, tracker, moves } =
+            &mut self.presets[preset];
         *latest = shift;
         locator.locate(detections, size, shift, located);
         counts.clone_from(none);
         counts.set_light(light);
         for vehicle in located {
-            counts.add(vehicle.place.lane, vehicle.place.s_m, vehicle.class);
+            let Place { lane, s_m, span_m } = vehicle.place;
+            counts.add(lane, s_m, vehicle.class);
+            if let Some(tracker) = tracker {
+                tracker.see(lane, Sighting { s_m, span_m, class: vehicle.class });
+            }
         }
-        Ok(counts)
+        *moves = tracker.as_mut().and_then(|tracker| tracker.observe(time));
+        Ok((counts, moves.as_ref()))
     }
 }

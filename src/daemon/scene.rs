@@ -109,6 +109,9 @@ const MAX_STANDING: usize = 256;
 /// less sure, and is learned.
 const COVERS: f32 = 0.7;
 
+/// Shortest time between two pictures that are compared, to tell one that has not changed.
+const COMPARED: Duration = Duration::from_secs(1);
+
 /// Judges pictures.
 #[derive(Debug)]
 pub struct Scene {
@@ -120,6 +123,9 @@ pub struct Scene {
     clock: Duration,
     latest: Option<Look>,
     shift: Option<ImagePoint>,
+    /// When a picture was last compared with one before it, and whether it repeated it.
+    compared: Option<Duration>,
+    repeats: bool,
 }
 
 impl Scene {
@@ -135,6 +141,8 @@ impl Scene {
             clock: Duration::ZERO,
             latest: None,
             shift: None,
+            compared: None,
+            repeats: false,
         }
     }
 
@@ -161,8 +169,14 @@ impl Scene {
         if let Some(flaw) = look.flaw() {
             return View::Withheld(flaw.into());
         }
-        if before.repeats(eye.luma(), grid.width) {
-            return View::Unchanged;
+        // In a fifth of a second a quiet street changes less than a frozen picture's noise.
+        let is_due = |at: Duration| now.saturating_sub(at) >= COMPARED;
+        if self.repeats || self.compared.is_none_or(is_due) {
+            self.compared = Some(now);
+            self.repeats = before.repeats(eye.luma(), grid.width);
+            if self.repeats {
+                return View::Unchanged;
+            }
         }
         if !self.is_checked(grid) {
             return View::UNJUDGED;

@@ -5,7 +5,7 @@
 //! state. Frames are the core's [`crate::node::link`].
 
 use crate::node::link::{MAX_ENCODED, Receiver, encode};
-use crate::wire::{self, DensityMessage, MAX_MESSAGE};
+use crate::wire::{self, DensityMessage, MAX_DENSITY_MESSAGE};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
@@ -184,8 +184,11 @@ impl SerialOutput {
         if report.to.saturating_since(report.from).as_secs() != self.settings.window_s {
             return;
         }
-        let mut buffer = [0; MAX_MESSAGE];
-        let sent = wire::encode(message, &mut buffer)
+        // The node switches by density, and has room for that.
+        let mut message = message.clone();
+        message.report.lanes.iter_mut().for_each(|lane| lane.traffic = None);
+        let mut buffer = [0; MAX_DENSITY_MESSAGE];
+        let sent = wire::encode(&message, &mut buffer)
             .is_ok_and(|frame| self.frames.try_send(frame.to_vec()).is_ok());
         if !sent {
             self.lost.fetch_add(1, Ordering::Relaxed);

@@ -10,10 +10,10 @@
 //! [`super::protocol`]; their first bytes differ, and each ends in a CRC-32 of its own. Owns
 //! delimiting only. Our own code, since it must link without a panic path.
 
-use crate::wire::MAX_MESSAGE;
+use crate::wire::MAX_DENSITY_MESSAGE;
 
 /// Most bytes of a decoded frame.
-pub const MAX_FRAME: usize = MAX_MESSAGE;
+pub const MAX_FRAME: usize = MAX_DENSITY_MESSAGE;
 /// Most bytes of a frame on the line: one code byte for every 254, one more, two zeros.
 pub const MAX_ENCODED: usize = MAX_FRAME + MAX_FRAME / 254 + 1 + 2;
 

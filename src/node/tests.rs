@@ -8,7 +8,7 @@ use crate::density::SampleZoneStatus;
 use crate::lane::Name;
 use crate::units::LaneId;
 use crate::wire::tests as wired;
-use crate::wire::{DensityMessage, MAX_MESSAGE};
+use crate::wire::{DensityMessage, MAX_DENSITY_MESSAGE};
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
@@ -99,7 +99,7 @@ fn on_the_line(content: &[u8]) -> Vec<u8> {
 }
 
 fn message_on_the_line(message: &DensityMessage) -> Vec<u8> {
-    let mut buffer = [0; MAX_MESSAGE];
+    let mut buffer = [0; MAX_DENSITY_MESSAGE];
     on_the_line(wire::encode(message, &mut buffer).expect("it fits"))
 }
 
@@ -395,5 +395,5 @@ fn fuzzed_bytes_never_move_an_output() {
 
 #[test]
 fn a_receiver_needs_no_more_than_it_says() {
-    assert!(size_of::<Receiver>() <= MAX_MESSAGE + 32);
+    assert!(size_of::<Receiver>() <= MAX_DENSITY_MESSAGE + 32);
 }

@@ -8,6 +8,7 @@ use crate::alarm::Alarm;
 use crate::density::FrameCounts;
 use crate::derate::Pace;
 use crate::health::{Actions, Event};
+use crate::track::LaneMoves;
 use crate::units::UtcMs;
 use core::time::Duration;
 
@@ -31,6 +32,8 @@ pub enum Outcome<'a> {
         preset: usize,
         /// The vehicles in it.
         counts: &'a FrameCounts,
+        /// What the vehicles have covered since the picture before, where they are followed.
+        moves: Option<&'a LaneMoves>,
     },
     /// The camera gave the picture that it gave before.
     Unchanged,

@@ -12,6 +12,8 @@ use crate::density::{
     WindowReport,
 };
 use crate::lane::Description;
+use crate::track::LaneMoves;
+use crate::traffic;
 use crate::units::UtcMs;
 use crate::wire::CalibrationRef;
 use core::time::Duration;
@@ -21,6 +23,8 @@ use core::time::Duration;
 pub struct Preset<const W: usize = MAX_WINDOWS> {
     calibration: CalibrationRef,
     aggregator: Aggregator<W>,
+    /// Flow and speed, where vehicles are followed.
+    traffic: Option<traffic::Windows<W>>,
     /// All windows end at its multiples.
     period: Duration,
 }
@@ -41,11 +45,21 @@ impl<const W: usize> Preset<W> {
         let aggregator =
             Aggregator::new(lanes, cell_m, lengths, interval, min_completeness, start)?;
         let period = common_period(lengths);
-        Ok(Self { calibration: CalibrationRef::of(table), aggregator, period })
+        Ok(Self { calibration: CalibrationRef::of(table), aggregator, traffic: None, period })
+    }
+
+    /// From now on windows have flow and speed too, where vehicles are followed with pictures at
+    /// most `longest` apart; lengths and completeness as for [`Self::new`].
+    pub fn follow(&mut self, lengths: &[Duration], longest: Duration, min_completeness: f32) {
+        self.traffic = Some(traffic::Windows::new(lengths, longest, min_completeness));
     }
 
     /// From now on reports have an interval from these errors ([`Aggregator::set_errors`]).
     pub fn set_errors(&mut self, length_rel_err: Option<f32>, errors: Errors) {
+        if let Some(traffic) = &mut self.traffic {
+            let is_corrected = errors.site.as_ref().is_some_and(|site| !site.by_load.is_empty());
+            traffic.set_errors(length_rel_err, is_corrected);
+        }
         self.aggregator.set_errors(length_rel_err, errors);
     }
 
@@ -101,8 +115,8 @@ impl<const W: usize, P: AsRef<[Preset<W>]> + AsMut<[Preset<W>]>> Windows<P, W> {
         closed: &mut dyn FnMut(ClosedWindow<'_>),
     ) {
         let status = match *outcome {
-            Outcome::Measured { preset, counts } => {
-                return self.count(preset, time, counts, closed);
+            Outcome::Measured { preset, counts, moves } => {
+                return self.count(preset, time, (counts, moves), closed);
             }
             Outcome::Missing => SampleZoneStatus::SensorFailure,
             Outcome::Unchanged | Outcome::Damaged | Outcome::StageFault => {
@@ -118,15 +132,20 @@ impl<const W: usize, P: AsRef<[Preset<W>]> + AsMut<[Preset<W>]>> Windows<P, W> {
         &mut self,
         preset: usize,
         time: UtcMs,
-        counts: &FrameCounts,
+        (counts, moves): (&FrameCounts, Option<&LaneMoves>),
         closed: &mut dyn FnMut(ClosedWindow<'_>),
     ) {
         self.advance(time, closed);
         self.active = preset;
         // All windows that end at this time are closed already.
-        for (number, Preset { aggregator, .. }) in self.presets.as_mut().iter_mut().enumerate() {
+        for (number, Preset { aggregator, traffic, .. }) in
+            self.presets.as_mut().iter_mut().enumerate()
+        {
             if number == preset {
                 aggregator.observe(time, counts);
+                if let (Some(traffic), Some(moves)) = (traffic, moves) {
+                    traffic.add(time, moves);
+                }
             } else {
                 aggregator.miss(time, SampleZoneStatus::DetectionAutoSuspended);
             }
@@ -162,8 +181,11 @@ impl<const W: usize, P: AsRef<[Preset<W>]> + AsMut<[Preset<W>]>> Windows<P, W> {
         mut act: impl FnMut(&mut Aggregator<W>) -> Closed<W>,
     ) {
         for (number, preset) in self.presets.as_mut().iter_mut().enumerate() {
-            let reports = act(&mut preset.aggregator);
+            let mut reports = act(&mut preset.aggregator);
             if number == self.active {
+                if let Some(traffic) = &preset.traffic {
+                    reports.iter_mut().for_each(|report| traffic.complete(report));
+                }
                 let calibration = &preset.calibration;
                 reports.iter().for_each(|report| closed(ClosedWindow { report, calibration }));
             }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::density::{DensityError, LaneReport, MAX_LANE_CELLS, SampleZoneStatus};
+use crate::traffic::Section;
 use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass};
 
 pub(crate) fn lane(number: u8, density: Option<f32>) -> LaneReport {
@@ -26,6 +27,7 @@ pub(crate) fn lane(number: u8, density: Option<f32>) -> LaneReport {
             counting: k / 8.0,
             ci90: [k / 2.0, k * 2.0],
         }),
+        traffic: None,
     }
 }
 
@@ -129,7 +131,70 @@ fn the_largest_message_fits_and_returns() {
     let mut buffer = [0; MAX_MESSAGE];
     let bytes = encode(&sent, &mut buffer).expect("MAX_MESSAGE holds every message");
     assert!(bytes.len() <= 1996, "{} bytes", bytes.len());
+    assert_eq!(decode(bytes).as_ref(), Ok(&sent));
+    sent.report.lanes.iter_mut().for_each(|lane| lane.traffic = Some(traffic()));
+    let bytes = encode(&sent, &mut buffer).expect("MAX_MESSAGE holds every message");
+    assert!(bytes.len() <= 1996 + 8 * 97, "{} bytes", bytes.len());
     assert_eq!(decode(bytes), Ok(sent));
+}
+
+/// Traffic of which everything is known.
+pub(crate) fn traffic() -> LaneTraffic {
+    LaneTraffic {
+        status: SampleZoneStatus::Ok,
+        flow_veh_h: Some(1.0),
+        flow_ci90: Some([0.5, 2.0]),
+        speed_kmh: Some(4.0),
+        speed_ci90: Some([2.0, 8.0]),
+        time_occupancy: Some(0.5),
+        time_occupancy_ci90: Some([0.25, 1.0]),
+        section: Some(Section {
+            by_class: [u16::MAX; VehicleClass::COUNT],
+            flow_veh_h: 1.0,
+            speed_time_mean_kmh: Some(4.0),
+            headway_s: Some(8.0),
+            headway_sd_s: Some(2.0),
+        }),
+        queue_m: Some(16.0),
+        queue_max_m: Some(32.0),
+        density_difference: Some(-0.5),
+    }
+}
+
+#[test]
+fn format_4_has_traffic_and_format_3_is_written_without() {
+    let mut sent = message(&[lane(1, None)]);
+    let mut buffer = [0; MAX_MESSAGE];
+    sent.report.lanes[0].traffic = Some(LaneTraffic {
+        section: None,
+        flow_ci90: None,
+        speed_ci90: None,
+        time_occupancy_ci90: None,
+        density_difference: None,
+        ..traffic()
+    });
+    let bytes = encode(&sent, &mut buffer).expect("fits");
+    let (half, one, four) = ([0, 0, 0, 0x3f], [0, 0, 0x80, 0x3f], [0, 0, 0x80, 0x40]);
+    let (sixteen, thirty_two) = ([0, 0, 0x80, 0x41], [0, 0, 0, 0x42]);
+    let golden = [
+        &[4][..],
+        &golden_body(),
+        &[1, 0, 0, 0x7a, 0x42, 0, 0],
+        &[1, 0, 1],
+        &one,
+        &[0, 1],
+        &four,
+        &[0, 1],
+        &half,
+        &[0, 0, 1],
+        &sixteen,
+        &[1],
+        &thirty_two,
+        &[0],
+    ]
+    .concat();
+    assert_eq!(bytes[..bytes.len() - 4], golden);
+    assert_eq!(decode(bytes).as_ref(), Ok(&sent));
 }
 
 #[test]
@@ -144,7 +209,7 @@ fn damage_is_refused() {
         bad[bit / 8] ^= 1 << (bit % 8);
         assert!(decode(&bad).is_err(), "bit {bit}");
     }
-    assert_eq!(decode(&[4, 0, 0, 0, 0, 0]), Err(WireError::Version { found: 4 }));
+    assert_eq!(decode(&[5, 0, 0, 0, 0, 0]), Err(WireError::Version { found: 5 }));
     let body = &good[..good.len() - 4];
     for wrong in [&body[..body.len() - 1], &[body, &[0]].concat(), &[&[1], &body[1..]].concat()] {
         let sealed = [wrong, &CRC.checksum(wrong).to_le_bytes()].concat();

@@ -62,6 +62,7 @@ fn window(n: i64) -> WindowReport {
             density_veh_km: Some([21.5; 10].into_iter().collect()),
         }),
         error: Some(DensityError { calibration: 0.5, counting: 1.5, ci90: [14.5, 28.5] }),
+        traffic: None,
     };
     let (from, to) = (UtcMs((n - 1) * 60_000), UtcMs(n * 60_000));
     WindowReport { from, to, lanes: (1..=4).map(lane).collect() }

@@ -107,6 +107,7 @@ pub(crate) mod tests {
                 density_veh_km: densities.map(|all| all.iter().copied().collect()),
             }),
             error: None,
+            traffic: None,
         };
         let name = |text: &str| text.try_into().unwrap();
         let mut message = wire::DensityMessage {

@@ -1,7 +1,7 @@
 //! CSV (RFC 4180): one row a lane and window, an empty field for what is not known; the cells
 //! of a lane stand in one field with `;` between them.
 
-use crate::{Density, Lane, rounded};
+use crate::{Density, Lane, Passed, Traffic, rounded};
 use std::borrow::Cow;
 
 /// The first line: units stand in the last word of a name.
@@ -9,7 +9,9 @@ pub const HEADER: &str = "site,window_s,seq,from,to,clock_synced,lane,direction,
 density_se_veh_km,vehicles_mean,vehicle,car,van,bus,truck,motorcycle,space_occupancy,length_m,\
 frames_used,frames_expected,status,calibration,calibration_rel_err,model,cell_length_m,\
 cells_density_veh_km,density_low90_veh_km,density_high90_veh_km,calibration_se_veh_km,\
-counting_se_veh_km";
+counting_se_veh_km,traffic_status,flow_veh_h,flow_low90_veh_h,flow_high90_veh_h,speed_km_h,\
+speed_low90_km_h,speed_high90_km_h,time_occupancy,time_occupancy_low90,time_occupancy_high90,\
+passed_vehicles,section_flow_veh_h,speed_time_mean_km_h,headway_s,headway_sd_s,queue_m,queue_max_m";
 
 /// The columns of the classes.
 const CLASSES: [&str; 6] = ["vehicle", "car", "van", "bus", "truck", "motorcycle"];
@@ -55,7 +57,33 @@ fn row(message: &Density, lane: &Lane) -> String {
         number(lane.calibration_se),
         number(lane.counting_se),
     ]);
+    fields.extend(moving(lane.traffic.as_ref()));
     fields.join(",")
+}
+
+/// The columns of flow and speed, empty where vehicles are not followed.
+fn moving(traffic: Option<&Traffic>) -> [String; 17] {
+    let of = |field: fn(&Traffic) -> Option<f32>| number(traffic.and_then(field));
+    let passed = traffic.and_then(|traffic| traffic.passed.as_ref()).map(Passed::all);
+    [
+        traffic.map_or_else(String::new, |traffic| traffic.traffic_status.name().to_owned()),
+        of(|traffic| traffic.flow_veh_h),
+        of(|traffic| traffic.flow_ci90.map(|[low, _]| low)),
+        of(|traffic| traffic.flow_ci90.map(|[_, high]| high)),
+        of(|traffic| traffic.speed_kmh),
+        of(|traffic| traffic.speed_ci90.map(|[low, _]| low)),
+        of(|traffic| traffic.speed_ci90.map(|[_, high]| high)),
+        of(|traffic| traffic.time_occupancy),
+        of(|traffic| traffic.time_occupancy_ci90.map(|[low, _]| low)),
+        of(|traffic| traffic.time_occupancy_ci90.map(|[_, high]| high)),
+        passed.map_or_else(String::new, |count| count.to_string()),
+        of(|traffic| traffic.section_flow_veh_h),
+        of(|traffic| traffic.speed_time_mean_kmh),
+        of(|traffic| traffic.headway_s),
+        of(|traffic| traffic.headway_sd_s),
+        of(|traffic| traffic.queue_m),
+        of(|traffic| traffic.queue_max_m),
+    ]
 }
 
 fn cells(lane: &Lane) -> String {
@@ -83,16 +111,18 @@ fn quoted(text: &str) -> Cow<'_, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::tests::message;
+    use crate::formats::tests::{followed, message};
 
     #[test]
     fn golden_rows() {
         let expected = "\"k109f \"\"<&>\"\", east\",60,7,2026-01-05T08:00:00.000Z,\
             2026-01-05T08:01:00.000Z,true,1,away,24.25,3.5,3,0,1,2,3,4,5,0.1234,123.7,57,60,oK,\
-            c,0.02,m,61.85,32.5;16,16,32.5,0.5,3.5\r\n\
+            c,0.02,m,61.85,32.5;16,16,32.5,0.5,3.5,,,,,,,,,,,,,,,,,\r\n\
             \"k109f \"\"<&>\"\", east\",60,7,2026-01-05T08:00:00.000Z,\
-            2026-01-05T08:01:00.000Z,true,2,unknown,,,,,,,,,,,123.7,3,60,poorContrast,c,0.02,m,61.85,,,,,\r";
+            2026-01-05T08:01:00.000Z,true,2,unknown,,,,,,,,,,,123.7,3,60,poorContrast,c,0.02,m,61.85,,,,,,,,,,,,,,,,,,,,,,\r";
         assert_eq!(rows(&message()), expected);
+        let moving = ",0.5,3.5,oK,875.5,800,950,36.1,34,38.2,0.1,0.08,0.12,12,720,37,5,2,15,30\r\n";
+        assert!(rows(&followed()).contains(moving), "{}", rows(&followed()));
     }
 
     #[test]
@@ -109,7 +139,7 @@ mod tests {
 
     #[test]
     fn every_row_has_the_headers_fields() {
-        let mut plain = message();
+        let mut plain = followed();
         plain.site = "k109f".into();
         let columns = HEADER.split(',').count();
         for row in rows(&plain).split("\r\n") {

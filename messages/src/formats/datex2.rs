@@ -1,7 +1,8 @@
-//! DATEX II v3 `MeasuredDataPublication` with `TrafficConcentration`, as XML.
+//! DATEX II v3 `MeasuredDataPublication` with `TrafficConcentration`, and `TrafficFlow` and
+//! `TrafficSpeed` where vehicles are followed, as XML.
 //!
 //! Owns names, order and units of the elements, from the v3.5 schema. A lane is one
-//! indexed physical quantity (index: the lane's number). `densityOfVehicles` is a whole
+//! indexed physical quantity (index: the lane's number; 10 and 20 more for flow and speed). `densityOfVehicles` is a whole
 //! number and required where `density` stands, so that a missing density is told by a
 //! `physicalQuantityFault` without values, never by 0.
 
@@ -56,8 +57,20 @@ pub fn site_measurements(message: &Density) -> String {
       </roa:physicalQuantity>
     </roa:physicalQuantity>",
             lane.lane,
-            concentration(lane).unwrap_or_else(|| fault(lane, message.to)),
+            concentration(lane).unwrap_or_else(|| fault(lane.status, message.to)),
         );
+        for (beside, values) in moving(lane, message.to).into_iter().flatten() {
+            let _ = write!(
+                xml,
+                "
+    <roa:physicalQuantity index=\"{}\">
+      <roa:physicalQuantity xsi:type=\"roa:SinglePhysicalQuantity\">
+{values}
+      </roa:physicalQuantity>
+    </roa:physicalQuantity>",
+                lane.lane + beside,
+            );
+        }
     }
     let (from, to) = (message.from, message.to);
     let _ = write!(
@@ -90,7 +103,11 @@ fn concentration(lane: &Lane) -> Option<String> {
         accuracy(lane).map_or_else(String::new, |percent| format!(" accuracy=\"{percent:.1}\""));
     let expected = lane.frames_expected.max(1);
     let quality = 100.0 * (lane.frames_used as f32 / expected as f32).min(1.0);
-    let occupancy = lane.space_occupancy.map_or_else(String::new, |share| {
+    let occupancy = match &lane.traffic {
+        Some(traffic) => traffic.time_occupancy,
+        None => lane.space_occupancy,
+    };
+    let occupancy = occupancy.map_or_else(String::new, |share| {
         format!(
             "
           <roa:occupancy>
@@ -120,9 +137,36 @@ fn accuracy(lane: &Lane) -> Option<f32> {
     percent.is_finite().then_some(percent)
 }
 
+/// Flow and speed of a lane with what is added to its number, where vehicles are followed.
+fn moving(lane: &Lane, time: Utc) -> [Option<(u8, String)>; 2] {
+    let Some(traffic) = &lane.traffic else { return [None, None] };
+    let values = |kind: &str, element: &str, value: &str, number: String| {
+        format!(
+            "        <roa:basicData xsi:type=\"roa:{kind}\">
+          <roa:{element}>
+            <roa:{value}>{number}</roa:{value}>
+          </roa:{element}>
+        </roa:basicData>"
+        )
+    };
+    let flow = traffic.flow_veh_h.map(|flow| {
+        // `as` saturates.
+        let rate = (flow.round() as u32).to_string();
+        values("TrafficFlow", "vehicleFlow", "vehicleFlowRate", rate)
+    });
+    let speed = traffic
+        .speed_kmh
+        .map(|speed| values("TrafficSpeed", "averageVehicleSpeed", "speed", format!("{speed:.1}")));
+    let is_ok = traffic.traffic_status == Status::Ok;
+    let fault = || fault(traffic.traffic_status, time);
+    // Where no vehicle was there is no speed, and no fault.
+    let speed = speed.or_else(|| (!is_ok).then(fault));
+    [Some((10, flow.unwrap_or_else(fault))), speed.map(|speed| (20, speed))]
+}
+
 /// Why a lane has no values.
-fn fault(lane: &Lane, time: Utc) -> String {
-    let kind = match lane.status {
+fn fault(status: Status, time: Utc) -> String {
+    let kind = match status {
         Status::SensorFailure => "noDataValuesAvailable",
         Status::Ok
         | Status::InputDataIntegrity
@@ -137,7 +181,7 @@ fn fault(lane: &Lane, time: Utc) -> String {
           <com:faultLastUpdateTime>{}</com:faultLastUpdateTime>
           <roa:physicalQuantityFaultType>{kind}</roa:physicalQuantityFaultType>
         </roa:physicalQuantityFault>",
-        lane.status.name(),
+        status.name(),
         time,
     )
 }
@@ -162,7 +206,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::tests::message;
+    use crate::formats::tests::{followed, message};
 
     #[test]
     fn golden_site_measurements() {
@@ -207,6 +251,25 @@ supplierCalculatedDataQuality=\"95.0\">
     </roa:measurementTimeDefault>
   </roa:siteMeasurements>";
         assert_eq!(site_measurements(&message()), expected);
+    }
+
+    #[test]
+    fn flow_and_speed_where_vehicles_are_followed() {
+        let xml = site_measurements(&followed());
+        let flow = "<roa:physicalQuantity index=\"11\">
+      <roa:physicalQuantity xsi:type=\"roa:SinglePhysicalQuantity\">
+        <roa:basicData xsi:type=\"roa:TrafficFlow\">
+          <roa:vehicleFlow>
+            <roa:vehicleFlowRate>876</roa:vehicleFlowRate>
+          </roa:vehicleFlow>
+        </roa:basicData>";
+        assert!(xml.contains(flow), "{xml}");
+        let speed = "<roa:averageVehicleSpeed>
+            <roa:speed>36.1</roa:speed>";
+        assert!(xml.contains(speed) && xml.contains("index=\"21\""), "{xml}");
+        assert!(xml.contains("<com:percentage>10.0</com:percentage>"), "the time occupancy");
+        // Of the second lane nothing is known: three faults.
+        assert_eq!(xml.matches("<roa:physicalQuantityFault>").count(), 3);
     }
 
     #[test]

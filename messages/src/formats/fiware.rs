@@ -1,9 +1,10 @@
 //! FIWARE `TrafficFlowObserved` (smart data model of Transportation), NGSI-LD key values.
 //!
-//! The model has no density: `density` with its unit, its 90 % interval and its errors is added, as
-//! NGSI allows. What is not known is left out, never 0.
+//! `intensity` is the number of vehicles that passed in the period and `averageVehicleSpeed` the
+//! space-mean speed, where vehicles are followed. The model has no density: `density` with its unit,
+//! its 90 % interval and its errors is added, as NGSI allows. What is not known is left out, never 0.
 
-use crate::{Density, Direction, Lane, Utc, rounded};
+use crate::{Density, Direction, Lane, Passed, Utc, rounded};
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -26,6 +27,12 @@ struct TrafficFlowObserved<'a> {
     ref_road_segment: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     occupancy: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    intensity: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    average_vehicle_speed: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    average_headway_time: Option<f32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     density: Option<f32>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -59,6 +66,8 @@ fn entity<'a>(
 ) -> TrafficFlowObserved<'a> {
     let (from, to) = (message.from, message.to);
     let (site, window_s, number) = (&message.site, message.window_s, lane.lane);
+    let traffic = lane.traffic.as_ref();
+    let occupancy = traffic.map_or(lane.space_occupancy, |traffic| traffic.time_occupancy);
     TrafficFlowObserved {
         id: format!("urn:ngsi-ld:TrafficFlowObserved:{}:{window_s}s:lane{number}", escaped(site)),
         r#type: "TrafficFlowObserved",
@@ -73,7 +82,10 @@ fn entity<'a>(
             Direction::Unknown => None,
         },
         ref_road_segment,
-        occupancy: lane.space_occupancy.map(rounded),
+        occupancy: occupancy.map(rounded),
+        intensity: traffic.and_then(|traffic| traffic.passed.as_ref()).map(Passed::all),
+        average_vehicle_speed: traffic.and_then(|traffic| traffic.speed_kmh).map(rounded),
+        average_headway_time: traffic.and_then(|traffic| traffic.headway_s).map(rounded),
         density: lane.density_veh_km.map(rounded),
         density_unit: lane.density_veh_km.map(|_| DENSITY_UNIT),
         density_standard_error: lane.density_se.map(rounded),
@@ -110,7 +122,7 @@ fn plain(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::tests::message;
+    use crate::formats::tests::{followed, message};
     use serde_json::{Value, json};
 
     #[test]
@@ -158,6 +170,19 @@ mod tests {
         assert_eq!(found.to_string(), expected.to_string());
     }
 
+    #[test]
+    fn intensity_and_speed_where_vehicles_are_followed() {
+        let found: Value = serde_json::from_str(&entities(&followed(), None)).expect("JSON");
+        let [known, unknown] = [&found[0], &found[1]];
+        assert_eq!(known["intensity"], 12);
+        assert_eq!(known["averageHeadwayTime"], 5.0);
+        assert!((known["averageVehicleSpeed"].as_f64().expect("a number") - 36.1).abs() < 1e-4);
+        assert!((known["occupancy"].as_f64().expect("a number") - 0.1).abs() < 1e-4);
+        for absent in ["intensity", "averageVehicleSpeed", "averageHeadwayTime", "occupancy"] {
+            assert_eq!(unknown[absent], Value::Null, "{absent}");
+        }
+    }
+
     /// Attributes of the model that are used, with what its schema says of each.
     #[test]
     fn used_attributes_are_as_the_model_has_them() {
@@ -177,12 +202,15 @@ mod tests {
                     "dateObservedFrom": { "type": "string", "pattern": "^[-0-9]{10}T[:.0-9]{12}Z$" },
                     "dateObservedTo": { "type": "string", "pattern": "^[-0-9]{10}T[:.0-9]{12}Z$" },
                     "occupancy": { "type": "number", "minimum": 0, "maximum": 1 },
+                    "intensity": { "type": "number", "minimum": 0 },
+                    "averageVehicleSpeed": { "type": "number", "minimum": 0 },
+                    "averageHeadwayTime": { "type": "number", "minimum": 0 },
                     "name": { "type": "string", "pattern": "^[^<>\"'=;()]*$" }
                 }
             }
         });
         let validator = jsonschema::validator_for(&schema).expect("a right schema");
-        let found: Value = serde_json::from_str(&entities(&message(), None)).expect("JSON");
+        let found: Value = serde_json::from_str(&entities(&followed(), None)).expect("JSON");
         let errors: Vec<_> = validator.iter_errors(&found).map(|e| e.to_string()).collect();
         assert!(errors.is_empty(), "{errors:#?}");
     }

@@ -93,7 +93,10 @@ impl Exporter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ByClass, Calibration, Cells, Direction, Lane, Model, Schema, Status, read};
+    use crate::Traffic;
+    use crate::{
+        ByClass, Calibration, Cells, Direction, Lane, Model, Passed, Schema, Status, read,
+    };
 
     /// A minute with one measured lane and one that nothing is known of.
     pub(super) fn message() -> Density {
@@ -120,6 +123,7 @@ mod tests {
             density_ci90: Some([16.0, 32.5]),
             calibration_se: Some(0.5),
             counting_se: Some(3.5),
+            traffic: None,
         };
         let missing = Lane {
             lane: 2,
@@ -153,6 +157,71 @@ mod tests {
             },
             model: Model { name: "m".into(), sha256: "02".repeat(32) },
             done: None,
+        }
+    }
+
+    /// The same with flow and speed, of which nothing is known in the second lane.
+    pub(super) fn followed() -> Density {
+        let known = Traffic {
+            traffic_status: Status::Ok,
+            flow_veh_h: Some(875.5),
+            flow_ci90: Some([800.0, 950.0]),
+            speed_kmh: Some(36.1),
+            speed_ci90: Some([34.0, 38.2]),
+            time_occupancy: Some(0.1),
+            time_occupancy_ci90: Some([0.08, 0.12]),
+            passed: Some(Passed { vehicle: 0, car: 10, van: 1, bus: 0, truck: 1, motorcycle: 0 }),
+            section_flow_veh_h: Some(720.0),
+            speed_time_mean_kmh: Some(37.0),
+            headway_s: Some(5.0),
+            headway_sd_s: Some(2.0),
+            queue_m: Some(15.0),
+            queue_max_m: Some(30.0),
+            density_difference: Some(-0.5),
+        };
+        let unknown = Traffic {
+            traffic_status: Status::PoorContrast,
+            flow_veh_h: None,
+            flow_ci90: None,
+            speed_kmh: None,
+            speed_ci90: None,
+            time_occupancy: None,
+            time_occupancy_ci90: None,
+            passed: None,
+            section_flow_veh_h: None,
+            speed_time_mean_kmh: None,
+            headway_s: None,
+            headway_sd_s: None,
+            queue_m: None,
+            queue_max_m: None,
+            density_difference: None,
+        };
+        let mut message = message();
+        message.lanes[0].traffic = Some(known);
+        message.lanes[1].traffic = Some(unknown);
+        message
+    }
+
+    #[test]
+    fn flow_and_speed_come_back_as_they_were_written() {
+        let exporter = Exporter::new(Format::Json, Place::default());
+        let json = exporter.message(&followed());
+        assert!(
+            json.contains("\"counting_se\":3.5,\"traffic_status\":\"oK\",\"flow_veh_h\":875.5")
+        );
+        assert_eq!(read(json.as_bytes()), Ok(followed()));
+        for (from, to, expected) in [
+            ("875.5", "-875.5", "lanes[0].flow_veh_h: -875.5: 0 to 36000 is right"),
+            ("36.1", "1e4", "lanes[0].speed_kmh: 10000: 0 to 1000"),
+            ("[34.0,", "[39.0,", "lanes[0].speed_ci90[1]: 38.2: 39 to"),
+            ("\"car\":10,", "", "missing field `car`"),
+            ("875.5", "\"many\"", "invalid type: string"),
+            ("\"traffic_status\":\"oK\"", "\"traffic_status\":\"fine\"", "unknown variant"),
+        ] {
+            assert!(json.contains(from), "{from}");
+            let wrong = read(json.replacen(from, to, 1).as_bytes());
+            let error = wrong.map(|read| read.lanes[0].clone()).expect_err(to).to_string();
+            assert!(error.contains(expected), "{to}: {error}");
         }
     }
 

@@ -4,7 +4,7 @@
 //! of `dataCollectionTable`, for an SNMP agent to serve. A lane is a sample zone. Density
 //! is no object of the standard and is added. What is not known is 65535.
 
-use crate::{Density, Lane, Utc};
+use crate::{Density, Lane, Passed, Utc};
 use serde::Serialize;
 
 /// "No value": missing, or not measured by this sensor.
@@ -18,11 +18,11 @@ struct Zone<'a> {
     sample_end_time: Utc,
     /// s
     sample_period: u32,
-    /// Vehicles that passed in the period: a density sensor does not count them.
+    /// Vehicles that passed in the period, where they are followed.
     volume_data: u16,
-    /// Tenths of a percent.
+    /// Tenths of a percent: of the time where vehicles are followed, else of the lane's length.
     percent_occupancy: u16,
-    /// Tenths of km/h: not measured.
+    /// Tenths of km/h, space mean, where vehicles are followed.
     speed_data: u16,
     sample_zone_status: u8,
     /// Whole veh/km, an addition, as are the ends of its 90 % interval, the lower one rounded
@@ -39,14 +39,17 @@ pub fn zones(message: &Density) -> String {
 }
 
 fn zone(message: &Density, lane: &Lane) -> String {
+    let traffic = lane.traffic.as_ref();
+    let passed = traffic.and_then(|traffic| traffic.passed.as_ref()).map(Passed::all);
+    let occupancy = traffic.map_or(lane.space_occupancy, |traffic| traffic.time_occupancy);
     let zone = Zone {
         site: &message.site,
         sample_zone: lane.lane,
         sample_end_time: message.to,
         sample_period: message.window_s,
-        volume_data: MISSING,
-        percent_occupancy: number(lane.space_occupancy.map(|share| share * 1000.0)),
-        speed_data: MISSING,
+        volume_data: number(passed.map(|count| count as f32)),
+        percent_occupancy: number(occupancy.map(|share| share * 1000.0)),
+        speed_data: number(traffic.and_then(|traffic| traffic.speed_kmh).map(|v| v * 10.0)),
         sample_zone_status: lane.status.number(),
         density_veh_km: number(lane.density_veh_km),
         density_low90_veh_km: number(lane.density_ci90.map(|[low, _]| low.floor())),
@@ -64,7 +67,7 @@ fn number(value: Option<f32>) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::tests::message;
+    use crate::formats::tests::{followed, message};
 
     #[test]
     fn golden_zones() {
@@ -80,6 +83,16 @@ mod tests {
             \"sampleZoneStatus\":12,\"densityVehKm\":65535,\
             \"densityLow90VehKm\":65535,\"densityHigh90VehKm\":65535}";
         assert_eq!(zones(&message()), expected);
+    }
+
+    #[test]
+    fn volume_occupancy_and_speed_where_vehicles_are_followed() {
+        let zones = zones(&followed());
+        let (first, second) = zones.split_once('\n').expect("two lanes");
+        let has = "\"volumeData\":12,\"percentOccupancy\":100,\"speedData\":361,";
+        assert!(first.contains(has), "{first}");
+        let none = "\"volumeData\":65535,\"percentOccupancy\":65535,\"speedData\":65535,";
+        assert!(second.contains(none), "{second}");
     }
 
     #[test]

@@ -45,6 +45,7 @@ pub fn run(path: &Path) -> Result<(), Failure> {
     });
     if let Some(line) = &mut line {
         report.line("net", line.describe_net(), String::clone);
+        report.line("traffic", Ok::<_, Failure>(line.following()), ToString::to_string);
     }
     let picture = first_picture(&config, line.as_ref()).and_then(|(source, frame)| {
         source.settle(KEYS);

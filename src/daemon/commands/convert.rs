@@ -238,7 +238,7 @@ mod tests {
         let read = |text: &str| of_postcard(text.as_bytes()).expect_err("no message");
         assert!(read("01zz").starts_with("not hexadecimal at character 3"));
         assert!(read("012").starts_with("not hexadecimal at character 4"));
-        assert!(read("0400000000").starts_with("message format 4"));
+        assert!(read("0500000000").starts_with("message format 5"));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::daemon::frame::Frame;
 use crate::daemon::line::{Line, LineSettings};
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
-use crate::daemon::presets::{TableSettings, WindowSettings};
+use crate::daemon::presets::{Following, TableSettings, WindowSettings};
 use crate::density::LaneReport;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -75,6 +75,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
              assumed (--interval)",
             recorded.interval().as_secs_f64()
         );
+    }
+    if let Following::TooSeldom { .. } | Following::TooShort { .. } = line.following() {
+        // A recording of snapshots is not meant for more, one of a stream may be.
+        let is_stream = recorded.interval() <= Duration::from_secs(2);
+        let level = if is_stream { log::Level::Warn } else { log::Level::Info };
+        log::log!(level, "{}", line.following());
     }
     let mut messages =
         text::Messages::new(&line.preset().table().camera_id, line.model(), recorded.tells_time());

@@ -50,6 +50,11 @@ impl Config {
             format!("{}: give 0 to 1", self.windows.min_completeness),
         )?;
         known(
+            (10.0..=300.0).contains(&self.traffic.top_speed_kmh),
+            "traffic.top_speed_kmh",
+            format!("{} km/h: give 10 to 300", self.traffic.top_speed_kmh),
+        )?;
+        known(
             self.lane_table.presets.is_empty() || self.camera.watch,
             "lane_table.presets",
             "presets are told apart by their scene: leave camera.watch = true".to_owned(),

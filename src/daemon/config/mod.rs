@@ -8,8 +8,8 @@ mod secrets;
 mod sections;
 
 pub use sections::{
-    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Views,
-    Windows,
+    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Traffic,
+    Views, Windows,
 };
 
 use crate::daemon::address::{Address, AddressError, veiled};
@@ -86,6 +86,9 @@ pub struct Config {
     /// Over what time density is taken.
     #[serde(default)]
     pub windows: Windows,
+    /// Whether flow and speed are measured.
+    #[serde(default)]
+    pub traffic: Traffic,
     /// Where messages go.
     #[serde(default)]
     pub mqtt: Mqtt,

@@ -2,6 +2,7 @@
 
 use crate::daemon::address::Address;
 use crate::daemon::serial::DEFAULT_BAUD;
+use crate::track::rate::DEFAULT_TOP_KMH;
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -141,6 +142,22 @@ impl Default for Windows {
     fn default() -> Self {
         // Three quarters: below it German traffic centres do not publish an interval.
         Self { lengths_s: vec![60, 900], min_completeness: 0.75 }
+    }
+}
+
+/// Whether flow and speed are measured.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Traffic {
+    /// Whether they are, where pictures come often enough.
+    pub enabled: bool,
+    /// Highest speed that is driven there, km/h: it decides how many pictures are needed.
+    pub top_speed_kmh: f32,
+}
+
+impl Default for Traffic {
+    fn default() -> Self {
+        Self { enabled: true, top_speed_kmh: DEFAULT_TOP_KMH }
     }
 }
 

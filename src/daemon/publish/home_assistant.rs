@@ -1,7 +1,8 @@
 //! Home Assistant: the retained messages by which it finds the sensor (MQTT discovery).
 //!
 //! Owns their topics and payloads; off unless asked for. One `sensor` a lane, with the
-//! density of the shortest window, and one `binary_sensor` for the connection. Home
+//! density of the shortest window, two more for flow and speed where vehicles are followed,
+//! and one `binary_sensor` for the connection. Home
 //! Assistant reads the daemon's own topics; nothing else is published for it.
 
 use crate::lane::Lane;
@@ -38,13 +39,15 @@ pub struct Announcement {
     pub payload: Vec<u8>,
 }
 
-/// The messages for a site whose topics stand under `root`, with these lanes and windows.
+/// The messages for a site whose topics stand under `root`, with these lanes and windows, and with
+/// flow and speed where it `follows` vehicles.
 pub fn announcements(
     prefix: &str,
     site: &str,
     root: &str,
     lanes: &[Lane],
     windows: &[Duration],
+    follows: bool,
 ) -> Vec<Announcement> {
     let id = format!("verge_{}", plain(site));
     let presence = Topic::Presence.under(root);
@@ -102,7 +105,25 @@ pub fn announcements(
                 "value_template": "{{ 'online' if value == 'online' else 'offline' }}",
             }],
         });
-        messages.push(announce("sensor", &format!("lane{number}_density"), density));
+        messages.push(announce("sensor", &format!("lane{number}_density"), density.clone()));
+        let moving = [
+            ("flow", "flow_veh_h", "veh/h", 0, "mdi:counter"),
+            ("speed", "speed_kmh", "km/h", 1, "mdi:speedometer"),
+        ];
+        for (name, field, unit, decimals, icon) in moving.into_iter().filter(|_| follows) {
+            let mut sensor = density.clone();
+            sensor["name"] = format!("Lane {number} {name}").into();
+            sensor["value_template"] =
+                format!("{{{{ {of_lane} | map(attribute='{field}') | first }}}}").into();
+            sensor["unit_of_measurement"] = unit.into();
+            sensor["suggested_display_precision"] = decimals.into();
+            sensor["icon"] = icon.into();
+            // The lane's fields stand with its density.
+            if let Some(fields) = sensor.as_object_mut() {
+                fields.retain(|key, _| !key.starts_with("json_attributes"));
+            }
+            messages.push(announce("sensor", &format!("lane{number}_{name}"), sensor));
+        }
     }
     messages
 }
@@ -120,13 +141,18 @@ mod tests {
     use std::collections::BTreeSet;
 
     fn made() -> Vec<Announcement> {
+        of_site(false)
+    }
+
+    fn of_site(follows: bool) -> Vec<Announcement> {
         let lane = |number| Lane {
             id: LaneId::new(number).expect("in range"),
             direction: Direction::Away,
             length_m: 100.0,
         };
         let windows = [900, 60].map(Duration::from_secs);
-        announcements("homeassistant", "k 109/f", "verge/k109f", &[lane(1), lane(2)], &windows)
+        let lanes = [lane(1), lane(2)];
+        announcements("homeassistant", "k 109/f", "verge/k109f", &lanes, &windows, follows)
     }
 
     #[test]
@@ -166,7 +192,7 @@ mod tests {
     #[test]
     fn keys_are_documented_and_ids_unique() {
         let mut ids = BTreeSet::new();
-        for message in made() {
+        for message in of_site(true) {
             let payload: Value = serde_json::from_slice(&message.payload).expect("JSON");
             for key in payload.as_object().expect("an object").keys() {
                 assert!(DOCUMENTED.contains(&key.as_str()), "{key}");
@@ -176,6 +202,20 @@ mod tests {
             assert_eq!(payload["device"]["identifiers"][0], "verge_k_109_f");
             assert!(ids.insert(payload["unique_id"].to_string()), "{payload:#}");
         }
+    }
+
+    #[test]
+    fn flow_and_speed_are_announced_where_vehicles_are_followed() {
+        let all = of_site(true);
+        assert_eq!(all.len(), made().len() + 4);
+        let speed = all.iter().find(|m| m.topic.contains("lane2_speed")).expect("announced");
+        let payload: Value = serde_json::from_slice(&speed.payload).expect("JSON");
+        assert_eq!(
+            payload["value_template"],
+            "{{ value_json.lanes | selectattr('lane', 'eq', 2) | map(attribute='speed_kmh') | first }}"
+        );
+        assert_eq!(payload["unit_of_measurement"], "km/h");
+        assert_eq!(payload["json_attributes_topic"], Value::Null);
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! The payloads of messages: the types of `verge_messages`, filled with the core's values.
 
 pub use verge_messages::{
-    Aim, AlarmMessage, Board, BoardFaults, Camera, Frames, Health, Light, Messages, Pace, Presence,
-    Schema, Stream, rounded,
+    Aim, AlarmMessage, Board, BoardFaults, Camera, Following, Frames, Health, Light, Messages,
+    Pace, Presence, Schema, Stream, rounded,
 };
 
 use crate::density::SampleZoneStatus;

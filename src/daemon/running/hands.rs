@@ -10,9 +10,10 @@ use crate::daemon::exit::Failure;
 use crate::daemon::line::Line;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::outlet::Outlet;
+use crate::daemon::presets::Following;
 use crate::daemon::publish::home_assistant::{self, Announcement};
 use crate::daemon::publish::payload;
-use crate::density::SampleZoneStatus;
+use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
 use crate::sensor::Action;
 use std::time::Duration;
 
@@ -29,6 +30,8 @@ pub struct Hands {
     /// Why the latest new configuration was refused.
     refused: Option<String>,
     health_due: bool,
+    /// Length of the shortest windows, and the largest difference of densities in the latest.
+    difference: Option<(Duration, Option<f32>)>,
 }
 
 impl Hands {
@@ -43,6 +46,7 @@ impl Hands {
             last_fault: None,
             refused: None,
             health_due: false,
+            difference: None,
         }
     }
 
@@ -51,6 +55,7 @@ impl Hands {
         match action {
             Action::Window { window, clock_synced } => {
                 self.outlet.density(window, clock_synced);
+                self.note_difference(window.report);
                 if let Some(metrics) = &mut self.metrics {
                     metrics.note(window.report);
                 }
@@ -82,6 +87,21 @@ impl Hands {
             name: alarm.into(),
             active,
         });
+    }
+
+    fn note_difference(&mut self, report: &WindowReport) {
+        let length = report.to.saturating_since(report.from);
+        if self.difference.is_some_and(|(shortest, _)| shortest < length) {
+            return;
+        }
+        let of = |lane: &LaneReport| lane.traffic.as_ref()?.density_difference;
+        let largest = |a: &f32, b: &f32| a.abs().total_cmp(&b.abs());
+        self.difference = Some((length, report.lanes.iter().filter_map(of).max_by(largest)));
+    }
+
+    /// The largest difference of densities, for health.
+    pub(super) fn density_difference(&self) -> Option<f32> {
+        self.difference.and_then(|(_, difference)| difference)
     }
 
     /// Whether health is to be published; asked once each time.
@@ -145,6 +165,7 @@ impl Hands {
             self.outlet.publisher().announce(Announcement { topic, payload: Vec::new() });
         }
         self.announcements = new;
+        self.difference = None;
         self.announced = None;
     }
 
@@ -166,5 +187,6 @@ fn announcements(config: &Config, line: &Line) -> Vec<Announcement> {
         &config.root_topic(),
         &line.preset().table().lanes,
         &config.window_lengths(),
+        matches!(line.following(), Following::On { .. }),
     )
 }

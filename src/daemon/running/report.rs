@@ -4,6 +4,7 @@ use super::Running;
 use crate::daemon::board::Driven;
 use crate::daemon::clock;
 use crate::daemon::line::Line;
+use crate::daemon::presets::Following;
 use crate::daemon::scene::Aiming;
 use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
@@ -11,6 +12,14 @@ use crate::health::Actions;
 use verge_messages::{self as payload, Messages, Stream};
 
 impl Running {
+    fn following(&self, following: Following) -> Option<payload::Following> {
+        let Following::On { longest, .. } = following else { return None };
+        Some(payload::Following {
+            longest_interval_s: longest.as_secs_f32(),
+            density_difference_veh_km: self.hands.density_difference().map(payload::rounded),
+        })
+    }
+
     pub(super) fn publish_health<L, R, W, T>(
         &mut self,
         actions: Actions,
@@ -57,6 +66,7 @@ impl Running {
                 dropped: spool.dropped,
                 damaged: spool.damaged,
             },
+            traffic: self.following(line.following()),
             board: payload::Board {
                 enclosure_c: board.enclosure_c(),
                 pace: pace(self.sensor.pace()),

@@ -155,7 +155,7 @@ impl Bench {
                 Shows(preset, vehicles) => {
                     let lane = LaneId::new(1).expect("in range");
                     (0..vehicles).for_each(|_| counts.add(lane, 1.0, VehicleClass::Car));
-                    Outcome::Measured { preset, counts: &counts }
+                    Outcome::Measured { preset, counts: &counts, moves: None }
                 }
                 Gives(outcome) => outcome,
             };

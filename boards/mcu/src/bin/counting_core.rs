@@ -17,7 +17,7 @@ mod firmware {
     use verge::health::{Event, Health};
     use verge::lane::{LaneTable, Name};
     use verge::units::{ImagePoint, UtcMs, VehicleClass};
-    use verge::wire::{self, CalibrationRef, DensityMessage, MAX_MESSAGE, ModelRef};
+    use verge::wire::{self, CalibrationRef, DensityMessage, MAX_DENSITY_MESSAGE, ModelRef};
 
     /// Where the lane table lies: memory-mapped QSPI flash of an STM32F4 (RM0386, 13.3).
     const TABLE_AT: *const u8 = 0x9000_0000 as *const u8;
@@ -44,7 +44,7 @@ mod firmware {
         contacts: [ImagePoint { u: 0.0, v: 0.0 }; MAX_BOXES],
         classes: [0; MAX_BOXES],
     };
-    static mut OUTBOX: [u8; MAX_MESSAGE] = [0; MAX_MESSAGE];
+    static mut OUTBOX: [u8; MAX_DENSITY_MESSAGE] = [0; MAX_DENSITY_MESSAGE];
 
     unsafe extern "C" {
         /// Defined nowhere: a panic path that the linker cannot drop fails the link.

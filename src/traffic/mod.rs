@@ -1,0 +1,231 @@
+//! Traffic: flow, speed and occupancy of a lane over a window, from what its vehicles have covered.
+//!
+//! Owns the estimators and their intervals. Does not follow vehicles (`track`), and leaves the life
+//! of windows to `density`, whose report it completes ([`Windows::complete`]).
+//!
+//! Flow q, density k and space-mean speed v are Edie's (Discussion of traffic stream measurements
+//! and definitions, 1963; Cassidy and Coifman, Transportation Research Record 1591, 1997, has them
+//! for cameras): over the rectangle of a lane of length L and an observed time T, in which vehicles
+//! cover the distance D and spend the time t, q = D / (L T), k = t / (L T), v = D / t, so that
+//! q = k v. At the section, in the middle of the lane, stand the count, the time-mean speed of those
+//! that pass, their headways and the time occupancy.
+
+mod sums;
+
+pub use sums::Sums;
+
+use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
+use crate::track::LaneMoves;
+use crate::units::{LaneId, MAX_LANES, UtcMs, VehicleClass};
+use core::time::Duration;
+use serde::{Deserialize, Serialize};
+
+/// Standard errors to each side of the mean that hold 90 % of a normal distribution.
+const Z90: f32 = 1.645;
+/// One standard error of the length that vehicles of one class are taken to have, as a part.
+const LENGTH_REL_ERR: f32 = 0.06;
+/// The density by Edie's definition and the mean of pictures may differ by this part, and by so
+/// many veh/km beside; else neither is trusted to give flow.
+const DIFFERENCE: (f32, f32) = (0.3, 3.0);
+
+/// Flow, speed and occupancy of a lane in a window. `None` where nothing can be said, never 0.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LaneTraffic {
+    /// How far these readings can be used.
+    pub status: SampleZoneStatus,
+    /// Flow q over the whole lane, veh/h.
+    pub flow_veh_h: Option<f32>,
+    /// Interval that holds it with a probability of 90 %.
+    pub flow_ci90: Option<[f32; 2]>,
+    /// Space-mean speed v over the whole lane, km/h; `None` too where no vehicle was on it.
+    pub speed_kmh: Option<f32>,
+    /// Interval that holds it with a probability of 90 %.
+    pub speed_ci90: Option<[f32; 2]>,
+    /// Share of the time for which a vehicle covered the section, 0 to 1.
+    pub time_occupancy: Option<f32>,
+    /// Interval that holds it with a probability of 90 %.
+    pub time_occupancy_ci90: Option<[f32; 2]>,
+    /// What passed the section.
+    pub section: Option<Section>,
+    /// Mean length of the longest queue, m.
+    pub queue_m: Option<f32>,
+    /// The most of it, m.
+    pub queue_max_m: Option<f32>,
+    /// Density by the mean of pictures less that by Edie's definition, veh/km: a check on both.
+    pub density_difference: Option<f32>,
+}
+
+/// What passed the section of a lane.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Section {
+    /// Vehicles, by class in the order of [`VehicleClass::ALL`].
+    pub by_class: [u16; VehicleClass::COUNT],
+    /// The same an hour, veh/h.
+    pub flow_veh_h: f32,
+    /// Time-mean speed, km/h.
+    pub speed_time_mean_kmh: Option<f32>,
+    /// Mean time from one vehicle to the next, s.
+    pub headway_s: Option<f32>,
+    /// Standard deviation of that time, s.
+    pub headway_sd_s: Option<f32>,
+}
+
+#[derive(Clone, Debug)]
+struct Window {
+    length: Duration,
+    from: Option<UtcMs>,
+    sums: [Sums; MAX_LANES],
+}
+
+/// The sums of the windows that run.
+#[derive(Clone, Debug)]
+pub struct Windows<const W: usize> {
+    windows: heapless::Vec<Window, W>,
+    longest: Duration,
+    min_completeness: f32,
+    length_rel_err: Option<f32>,
+    is_corrected: bool,
+}
+
+impl<const W: usize> Windows<W> {
+    /// Windows of these lengths, as many as there is room for, for pictures at most `longest` apart.
+    /// A window that observed less than `min_completeness` (0 to 1) of its time reports nothing.
+    pub fn new(lengths: &[Duration], longest: Duration, min_completeness: f32) -> Self {
+        let window = |&length| Window { length, from: None, sums: Default::default() };
+        let windows = lengths.iter().take(W).map(window).collect();
+        Self { windows, longest, min_completeness, length_rel_err: None, is_corrected: false }
+    }
+
+    /// From now on reports have an interval from this error of lengths (one standard error, as a
+    /// part). Where a site's correction multiplies its counts, flow follows density, else density
+    /// follows flow.
+    pub fn set_errors(&mut self, length_rel_err: Option<f32>, is_corrected: bool) {
+        (self.length_rel_err, self.is_corrected) = (length_rel_err, is_corrected);
+    }
+
+    /// Adds what vehicles have covered up to the picture of that time.
+    pub fn add(&mut self, time: UtcMs, moves: &LaneMoves) {
+        for window in &mut self.windows {
+            let from = time.floor_to(window.length);
+            if window.from.replace(from) != Some(from) {
+                window.sums = Default::default();
+            }
+            for (sums, moves) in window.sums.iter_mut().zip(moves) {
+                sums.add(moves);
+            }
+        }
+    }
+
+    /// Adds traffic to the report of a window that has closed.
+    pub fn complete(&self, report: &mut WindowReport) {
+        let length = report.to.saturating_since(report.from);
+        let window = self
+            .windows
+            .iter()
+            .find(|window| window.length == length && window.from == Some(report.from));
+        for lane in &mut report.lanes {
+            let none = Sums::default();
+            let sums = window.and_then(|window| window.sums.get(index(lane.lane)));
+            let traffic = self.of(sums.unwrap_or(&none), length, lane);
+            if let Some((traffic, density)) = traffic {
+                if !self.is_corrected {
+                    follow(lane, density);
+                }
+                lane.traffic = Some(traffic);
+            } else {
+                let status = match lane.status {
+                    SampleZoneStatus::Ok => SampleZoneStatus::InputDataIntegrity,
+                    fault => fault,
+                };
+                lane.traffic = Some(LaneTraffic { status, ..LaneTraffic::default() });
+            }
+        }
+    }
+
+    /// What is said of a lane, and its density by Edie's definition.
+    fn of(&self, sums: &Sums, length: Duration, lane: &LaneReport) -> Option<(LaneTraffic, f32)> {
+        let by_pictures = lane.density_veh_km?;
+        let (observed_s, length_m) = (sums.observed_s, lane.length_m);
+        let enough = observed_s > 0.0
+            && observed_s >= self.min_completeness * length.as_secs_f32()
+            && sums.interval_s() <= 1.1 * self.longest.as_secs_f32();
+        if !enough || sums.lost > 0 {
+            return None;
+        }
+        let area = length_m * observed_s;
+        let by_edie = sums.time_s.max(0.0) / area * 1000.0;
+        // A site's factor is on the one and not on the other, and is no difference of theirs.
+        let difference = if self.is_corrected { 0.0 } else { by_pictures - by_edie };
+        let (part, beside) = DIFFERENCE;
+        if difference.abs() > part * by_pictures.max(by_edie) + beside {
+            return None;
+        }
+        let factor = if self.is_corrected && by_edie > 0.0 { by_pictures / by_edie } else { 1.0 };
+        let flow = sums.distance_m.max(0.0) / area * 3600.0 * factor;
+        let speed = (sums.time_s > 0.0).then(|| sums.distance_m.max(0.0) / sums.time_s * 3.6);
+        let occupancy = (sums.occupied_s / observed_s * factor).clamp(0.0, 1.0);
+        // Vehicles not found and found twice, as a part, as for the density.
+        let counting = lane
+            .error
+            .map(|error| if by_pictures > 0.0 { error.counting / by_pictures } else { 0.0 });
+        let interval = |value: f32, se: f32| [(value - Z90 * se).max(0.0), value + Z90 * se];
+        let bridged = libm::sqrtf(sums.bridged_m2) / area * 3600.0;
+        // Half a vehicle for those that the window cuts.
+        let cut = 0.5 * 3600.0 / observed_s;
+        let flow_se = |counting: f32| libm::hypotf(libm::hypotf(flow * counting, bridged), cut);
+        let place = libm::sqrtf(sums.bridged_m2 + sums.place_m2) / sums.distance_m.max(length_m);
+        let speed_se = |calibration: f32, speed: f32| speed * libm::hypotf(calibration, place);
+        let occupancy_se = |counting: f32| {
+            libm::hypotf(occupancy * libm::hypotf(counting, LENGTH_REL_ERR), 0.5 / observed_s)
+        };
+        let traffic = LaneTraffic {
+            status: SampleZoneStatus::Ok,
+            flow_veh_h: Some(flow),
+            flow_ci90: counting.map(|counting| interval(flow, flow_se(counting))),
+            speed_kmh: speed,
+            speed_ci90: speed
+                .zip(self.length_rel_err)
+                .map(|(speed, calibration)| interval(speed, speed_se(calibration, speed))),
+            time_occupancy: Some(occupancy),
+            time_occupancy_ci90: counting.map(|counting| {
+                interval(occupancy, occupancy_se(counting)).map(|end| end.min(1.0))
+            }),
+            section: Some(sums.section()),
+            queue_m: Some(sums.queue_m_s / observed_s),
+            queue_max_m: Some(sums.queue_max_m),
+            density_difference: Some(difference),
+        };
+        Some((traffic, by_edie))
+    }
+}
+
+fn index(lane: LaneId) -> usize {
+    usize::from(lane.get()) - 1
+}
+
+/// Gives a lane that density in place of the mean of pictures, and to all that follows from it.
+fn follow(lane: &mut LaneReport, density: f32) {
+    let Some(before) = lane.density_veh_km.filter(|&before| before > 0.0) else { return };
+    let factor = density / before;
+    let scale = |value: &mut f32| *value *= factor;
+    for value in [&mut lane.density_veh_km, &mut lane.density_se, &mut lane.vehicles_mean] {
+        value.iter_mut().for_each(scale);
+    }
+    lane.by_class.iter_mut().flatten().for_each(scale);
+    if let Some(occupancy) = &mut lane.space_occupancy {
+        *occupancy = (*occupancy * factor).min(1.0);
+    }
+    if let Some(densities) = lane.cells.as_mut().and_then(|cells| cells.density_veh_km.as_mut()) {
+        densities.iter_mut().for_each(scale);
+    }
+    if let Some(error) = &mut lane.error {
+        let [_, high] = error.ci90;
+        let half = (high - before) * factor;
+        error.calibration *= factor;
+        error.counting *= factor;
+        error.ci90 = [(density - half).max(0.0), density + half];
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -96,18 +96,21 @@ pub fn publish(port: u16, name: &str, messages: &[(String, String)], pause: Dura
 }
 
 /// Publishes one message after the other at QoS 1, from the first again after the last, as fast
-/// as the broker reads, for that long; how many.
-pub fn flood(port: u16, topic: &str, payloads: &[Vec<u8>], time: Duration) -> u64 {
+/// as the broker reads and the line of so many bytes a second carries, for that long; how many.
+pub fn flood(port: u16, topic: &str, payloads: &[Vec<u8>], time: Duration, line: f64) -> u64 {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("a connection");
     // MQTT 3.1.1: CONNECT as "evil" with a clean session and no keep-alive.
     stream.write_all(b"\x10\x10\x00\x04MQTT\x04\x02\x00\x00\x00\x04evil").expect("sent");
     let mut answers = stream.try_clone().expect("a second handle");
     let reader = std::thread::spawn(move || std::io::copy(&mut answers, &mut std::io::sink()));
     let packets: Vec<Vec<u8>> = payloads.iter().map(|payload| packet(topic, payload)).collect();
-    let (until, mut sent) = (Instant::now() + time, 0);
-    while Instant::now() < until {
-        stream.write_all(&packets[sent as usize % packets.len()]).expect("a broker that reads");
-        sent += 1;
+    let (begun, mut sent, mut bytes) = (Instant::now(), 0, 0.0);
+    while begun.elapsed() < time {
+        let packet = &packets[sent as usize % packets.len()];
+        stream.write_all(packet).expect("a broker that reads");
+        (sent, bytes) = (sent + 1, bytes + packet.len() as f64);
+        let due = Duration::from_secs_f64(bytes / line);
+        std::thread::sleep(due.saturating_sub(begun.elapsed()));
     }
     // DISCONNECT: the broker has read all that stands before it when it ends the connection.
     stream.write_all(b"\xe0\x00").expect("sent");

@@ -43,6 +43,17 @@ fn tables_pages_and_pictures_tell_what_the_archive_holds() {
     let csv = read(&out.join("sites.csv"));
     // Two of three days; lane 2 has no density for a quarter of the day.
     assert!(csv.contains("north,2026-01-05,2026-01-07,2,2,66.67,58.33,"), "{csv}");
+    let csv = read(&out.join("trouble.csv"));
+    let silent =
+        "south,2026-01-06T00:00:00.000Z,\"silent\"\nnorth,2026-01-08T00:00:00.000Z,\"silent\"\n";
+    assert_eq!(csv, format!("site,since,reason\n{silent}"));
+    assert!(read(&out.join("index.html")).contains("<h2>Trouble: 2 of 2 sites</h2>"));
+    // At the end of Monday nothing was wrong.
+    let monday = folder.path().join("monday");
+    let args =
+        ["report", "--archive", text(&archive), "--out", text(&monday), "--to", "2026-01-05"];
+    succeed(&args);
+    assert!(read(&monday.join("index.html")).contains("Nothing is wrong with any site."));
     for (page, charts) in
         [("index.html", 2), ("sites/north/index.html", 7), ("sites/south/index.html", 7)]
     {

@@ -10,6 +10,7 @@ mod page;
 mod places;
 mod queries;
 mod summary;
+mod trouble;
 
 pub use queries::BINS;
 pub use summary::{Mean, Summary};
@@ -148,6 +149,7 @@ async fn summarise_all(
     let engine = Arc::new(Engine::open(&arguments.archive, cluster, partitions).await?);
     let (mut sites, mut running) = (sites.into_iter(), JoinSet::new());
     let mut all = All::default();
+    let now_ms = end_ms(arguments)?;
     loop {
         while let Some((site, days)) = (running.len() < threads).then(|| sites.next()).flatten() {
             let engine = Arc::clone(&engine);
@@ -159,14 +161,14 @@ async fn summarise_all(
             let mut scope = Scope { site, days: ends, without, window_s, offset_ms };
             running.spawn(async move {
                 let mut failed = Vec::new();
-                let mut summary = summarise(&engine, scope.clone()).await;
+                let mut summary = summarise(&engine, scope.clone(), now_ms).await;
                 if summary.is_err() {
                     // The engine does not name the file that it could not read.
                     let damaged = damage(&archive, &days);
                     if !damaged.is_empty() && damaged.len() < days.len() {
                         scope.without = damaged.iter().map(|(day, _)| *day).collect();
                         failed.extend(damaged.into_iter().map(|(_, failure)| failure));
-                        summary = summarise(&engine, scope).await;
+                        summary = summarise(&engine, scope, now_ms).await;
                     } else if let Some((_, failure)) = damaged.into_iter().next() {
                         summary = Err(failure);
                     }
@@ -214,11 +216,13 @@ fn write_all(folder: &Path, files: Vec<page::File>) -> Result<(), Desk> {
 }
 
 /// Asks for a site's sums.
-async fn summarise(engine: &Engine, mut scope: Scope) -> Result<Summary, Failure> {
+async fn summarise(engine: &Engine, mut scope: Scope, now_ms: i64) -> Result<Summary, Failure> {
     let mut summary = Summary::of_lanes(&scope.site, &engine.ask(&queries::lanes(&scope)).await?);
     if !summary.is_empty() {
         scope.window_s = summary.window_s;
         summary.add_cells(&engine.ask(&queries::cells(&scope)).await?);
+        let latest = engine.ask(&queries::latest(&scope)).await?;
+        summary.trouble = trouble::of(&latest, summary.window_s.unwrap_or_default(), now_ms);
     }
     Ok(summary)
 }
@@ -233,18 +237,27 @@ fn damage(archive: &Path, days: &[Partition]) -> Vec<(i64, Failure)> {
     days.iter().filter_map(wrong).collect()
 }
 
+/// The day of an argument, since 1970; none where it is not given.
+fn day(text: Option<&String>, name: &str) -> Result<Option<i64>, Desk> {
+    let Some(text) = text else { return Ok(None) };
+    let time: Result<jiff::Timestamp, _> = format!("{text}T00:00:00Z").parse();
+    time.map(|time| Some(time.as_millisecond() / DAY_MS))
+        .map_err(|_| Desk::Usage(format!("--{name} {text:?}: give a day as 2026-01-05")))
+}
+
+/// The time that the report is made of: now, or the end of the last day that was asked for.
+fn end_ms(arguments: &Arguments) -> Result<i64, Desk> {
+    let now = jiff::Timestamp::now().as_millisecond();
+    let last = day(arguments.to.as_ref(), "to")?;
+    Ok(last.map_or(now, |day| now.min((day + 1) * DAY_MS)))
+}
+
 /// Sites with their days, as asked for.
 fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
-    let limit = |text: &Option<String>, name: &str, none: i64| {
-        let Some(text) = text else { return Ok(none) };
-        let time: Result<jiff::Timestamp, _> = format!("{text}T00:00:00Z").parse();
-        time.map(|time| time.as_millisecond() / DAY_MS)
-            .map_err(|_| Desk::Usage(format!("--{name} {text:?}: give a day as 2026-01-05")))
-    };
-    let first = limit(&arguments.from, "from", i64::MIN)?;
+    let first = day(arguments.from.as_ref(), "from")?.unwrap_or(i64::MIN);
     // Boxes whose clock was wrong have days that are to come.
     let tomorrow = jiff::Timestamp::now().as_millisecond() / DAY_MS + 1;
-    let last = limit(&arguments.to, "to", tomorrow)?;
+    let last = day(arguments.to.as_ref(), "to")?.unwrap_or(tomorrow);
     let mut sites: Vec<Site> = Vec::new();
     for partition in store::partitions(&arguments.archive)? {
         let named = arguments.site.is_empty() || arguments.site.contains(&partition.site);

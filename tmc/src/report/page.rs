@@ -4,6 +4,7 @@ use super::charts;
 use super::places::{self, Place, Places};
 use super::queries::BINS;
 use super::summary::{Mean, Summary};
+use super::trouble::Trouble;
 use crate::chart::Drawing;
 use crate::store;
 use std::fmt::Write;
@@ -198,8 +199,9 @@ pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
         ("average_day.png", charts::network_day(&day)),
         ("week.png", charts::week("all sites: average week", &week)),
     ];
-    let mut body = String::new();
+    let (mut body, trouble) = trouble(summaries, places);
     let mut files = vec![
+        ("trouble.csv".to_owned(), trouble.into_bytes()),
         ("sites.csv".to_owned(), csv.into_bytes()),
         ("sites.geojson".to_owned(), places::geojson(summaries, places)),
     ];
@@ -208,8 +210,43 @@ pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
         files.push((name.to_owned(), drawing.png()));
     }
     body += &table;
-    body += "<p>As a table: <a href=\"sites.csv\">sites.csv</a>, as a map's data: \
+    body += "<p>As a table: <a href=\"sites.csv\">sites.csv</a>, \
+             <a href=\"trouble.csv\">trouble.csv</a>, as a map's data: \
              <a href=\"sites.geojson\">sites.geojson</a></p>\n";
     files.push(("index.html".into(), page("Traffic density", &body)));
     files
+}
+
+/// What is wrong with which site, the oldest first: for the page, and as a table.
+fn trouble(summaries: &[Summary], places: &Places) -> (String, String) {
+    let mut csv = String::from("site,since,reason\n");
+    let of =
+        |site: &Summary| site.trouble.iter().map(|it| (it.clone(), site.site.clone())).collect();
+    let mut all: Vec<(Trouble, String)> = summaries.iter().flat_map::<Vec<_>, _>(of).collect();
+    all.sort();
+    if all.is_empty() {
+        return ("<p>Nothing is wrong with any site.</p>\n".to_owned(), csv);
+    }
+    let mut sites: Vec<&str> = all.iter().map(|(_, site)| site.as_str()).collect();
+    sites.sort_unstable();
+    sites.dedup();
+    let mut table = format!(
+        "<h2>Trouble: {} of {} sites</h2>\n<table>\n<tr><th>site</th><th>where</th>\
+         <th>since (UTC)</th><th>what</th></tr>\n",
+        sites.len(),
+        summaries.len()
+    );
+    for (Trouble { since_ms, reason }, site) in &all {
+        let since = verge_messages::rfc3339(*since_ms);
+        let (name, place) = (escaped(site), places.get(site).map(Place::words).unwrap_or_default());
+        let _ = writeln!(csv, "{site},{since},\"{reason}\"");
+        let _ = writeln!(
+            table,
+            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td>{}</td><td>{}</td>\
+             <td>{reason}</td></tr>",
+            escaped(&place.join(", ")),
+            since[..16].replace('T', " ")
+        );
+    }
+    (table + "</table>\n<h2>All sites</h2>\n", csv)
 }

@@ -5,6 +5,7 @@
 //! their sums are exact, and so the same in whatever order they were added.
 
 use super::queries::{BINS, LANES};
+use super::trouble::Trouble;
 use crate::store::DAY_MS;
 use datafusion::arrow::array::{Array, AsArray, PrimitiveArray, RecordBatch};
 use datafusion::arrow::datatypes::{
@@ -140,6 +141,8 @@ pub struct Summary {
     pub along: [Along; LANES],
     /// Days since 1970 (UTC), each with its lanes.
     pub days: Vec<(i64, [Windows; LANES])>,
+    /// What is wrong at the end, the oldest first.
+    pub trouble: Vec<Trouble>,
 }
 
 impl Summary {
@@ -155,6 +158,7 @@ impl Summary {
             week: vec![[Mean::default(); BINS]; 7],
             along: Default::default(),
             days: Vec::new(),
+            trouble: Vec::new(),
         };
         let mut days = BTreeMap::<i64, [Windows; LANES]>::new();
         for batch in batches {
@@ -318,7 +322,10 @@ impl<'a> Sums<'a> {
     }
 }
 
-fn column<'a, T: ArrowPrimitiveType>(batch: &'a RecordBatch, name: &str) -> &'a PrimitiveArray<T> {
+pub(super) fn column<'a, T: ArrowPrimitiveType>(
+    batch: &'a RecordBatch,
+    name: &str,
+) -> &'a PrimitiveArray<T> {
     batch.column_by_name(name).expect("the queries name it").as_primitive()
 }
 

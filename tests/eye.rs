@@ -354,3 +354,53 @@ fn k109fs_wander_is_found_and_puts_vehicles_into_their_lanes() {
     assert!(worst <= 0.5, "{worst} px");
     assert!(all >= 60 && right + 2 >= all, "{right} of {all}");
 }
+
+#[test]
+fn a_site_saved_at_the_desk_passes_every_check() {
+    use mvcalib::desk::{backdrop::Backdrop, drawing::Drawing, save, site::Site, traffic::Traffic};
+    let folder = folder();
+    let street = Path::new("tests/data/freeway");
+    let read = |name: &str| -> Value {
+        let text = std::fs::read_to_string(street.join(name)).expect("the street's own");
+        serde_json::from_str(&text).expect("JSON")
+    };
+    let site = Site::of(street, Some(&folder.path().join("site"))).expect("pictures");
+    let backdrop = Backdrop::of(&site.pictures().expect("a list")[..9]).expect("a backdrop");
+    let lanes = read("lanes.json");
+    let corner = |lane: usize, k: usize| lanes["shapes"][lane]["points"][k].clone();
+    // An outline runs up one side, 23 vertices, and down the other.
+    let side = |lane: usize, end: usize, up: &[usize]| -> Vec<Value> {
+        up.iter().map(|k| corner(lane, if end == 0 { *k } else { 45 - k })).collect()
+    };
+    let known = Calibration::read(&street.join("calibration.json"), None);
+    let camera = known.expect("the street's camera").camera();
+    let at = |p: &Value| {
+        let axis = |k: usize| p[k].as_f64().expect("a coordinate");
+        camera.back_project(&[axis(0), axis(1)].into(), 0.0).expect("on the road")
+    };
+    let length = |a: Value, b: Value| {
+        let metres = (at(&a) - at(&b)).norm();
+        serde_json::json!({"points": [a, b], "metres": metres})
+    };
+    let steps = [1, 4, 8, 13];
+    let polygon: Vec<Value> = side(0, 0, &[1, 8]).into_iter().chain(side(0, 1, &[8, 1])).collect();
+    let drawing = serde_json::json!({
+        "format": "verge-desk", "version": 1, "image_size": backdrop.image_size,
+        "backdrop": backdrop.sha256, "site": "bridge 7", "camera_id": "freeway",
+        "lane_width_m": 3.66,
+        "lengths": [length(corner(0, 1), corner(0, 3)), length(corner(0, 9), corner(0, 14))],
+        "lines": [{"id": 1, "points": side(0, 0, &steps)}, {"id": 2, "points": side(0, 1, &steps)}],
+        "lanes": [{"number": 1, "direction": "away", "polygon": polygon}],
+    });
+    let drawing = Drawing::parse(drawing.to_string().as_bytes()).expect("a drawing");
+    let traffic = Traffic::new(None, None).expect("no file");
+    let model = Path::new(common::MODEL);
+    save::save(&drawing, &site, &backdrop, &traffic, Some(model)).expect("a good site");
+    let config = site.file("verge.toml");
+    let output = verge(&["check", "--config", config.to_str().expect("UTF-8")]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    // No broker need listen here.
+    let failed: Vec<&str> =
+        said.lines().filter(|l| !l.starts_with("ok ") && !l.contains("broker")).collect();
+    assert!(failed.is_empty() && said.contains("measurement"), "{said}");
+}

@@ -10,6 +10,7 @@ use crate::bodies::Body;
 use crate::camera::{Camera, Pose};
 use crate::error::{Error, Result};
 use crate::files::calibration::{Calibration, StageLoss, StageLosses, VehicleMatch};
+use crate::joint::untold::{Untold, untold};
 use crate::joint::{self, cues::RoadCues};
 use crate::paper::fine_tuning;
 use crate::paper::loss::{Form, Weights, pack};
@@ -182,7 +183,9 @@ fn of_joint(
     let rel_err = Some(calibration.rel_err.unwrap_or(f64::NAN));
     let far_rel_err = Some(joint.known().far_ahead().map_or(f64::NAN, |e| e.rel_sd));
     let evidence = Evidence { rel_err, far_rel_err, worst, focal_bounds: None };
-    calibration.trust = match misfit_vehicle(problem, &settings, &joint) {
+    let reason = misfit_vehicle(problem, &settings, &joint)
+        .or_else(|| other_body(problem, &settings, &joint));
+    calibration.trust = match reason {
         Some(reason) => Trust::Refused(reason),
         None => verdict(problem, &camera, &evidence),
     };
@@ -202,7 +205,27 @@ fn of_road(
     let cues = Cues { labelled: Some(joint.labelled()), ..options.road.clone() };
     let mut calibration = fit::fit(&cues, problem.image_size)?.calibration();
     calibration.vehicles = residuals(problem, &joint);
+    if let Some(reason) = other_body(problem, &settings, &joint) {
+        calibration.trust = Trust::Refused(reason);
+    }
     Ok(calibration)
+}
+
+/// The vehicles that are likelier another body than the cars that they are taken for, of the
+/// likeliest body.
+fn other_body(
+    problem: &Problem,
+    settings: &joint::Settings,
+    joint: &joint::Joint,
+) -> Option<Reason> {
+    let named = untold(problem, settings, &joint.estimate);
+    let first = named.first()?;
+    let name = |u: &Untold| problem.vehicles[u.vehicle].name.clone();
+    Some(Reason::OtherBody {
+        vehicles: named.iter().filter(|u| u.body == first.body).map(name).collect(),
+        body: first.body.name(),
+        odds: first.log_odds.exp(),
+    })
 }
 
 /// Each vehicle with the misfit of its key points.

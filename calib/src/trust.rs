@@ -62,6 +62,15 @@ pub enum Reason {
         /// The limit, px.
         limit_px: f64,
     },
+    /// Vehicles are likelier another body than the cars that they are taken for.
+    OtherBody {
+        /// The vehicles.
+        vehicles: Vec<String>,
+        /// What they are likelier.
+        body: &'static str,
+        /// Odds of that.
+        odds: f64,
+    },
     /// A vehicle stands on no road of the others.
     Misplaced {
         /// The vehicle.
@@ -149,6 +158,13 @@ impl fmt::Display for Reason {
                 f,
                 "the key points of {vehicle} miss their fit by {misfit_px:.1} px \
                  (limit {limit_px:.1} px)"
+            ),
+            Reason::OtherBody { vehicles, body, odds } => write!(
+                f,
+                "taken for a car and likelier a {body} ({:.0} to 1): {}; set the flag {body}, or \
+                 leave it out: a {body} taken for a car makes every length wrong",
+                odds.min(9999.0),
+                vehicles.join(", "),
             ),
             Reason::Misplaced { vehicle, with, without, aloft } => {
                 write!(

@@ -102,7 +102,8 @@ fn four_lengths_calibrate_the_views_of_session_0() {
             (0..all.len()).filter(|k| !given.contains(k)).map(|k| all[k].0).collect();
         let median = row(&format!("session 0 {view}, four lengths"), &found.known, &held_out);
         // 4 % is the goal, and the right view is half a point above it.
-        assert!(median < 0.05, "{view}: {median}");
+        let limit = if view == "right" { 0.05 } else { 0.04 };
+        assert!(median < limit, "{view}: {median}");
     }
 }
 

@@ -7,7 +7,7 @@ use super::drawing::{Drawing, Lane, Px};
 use super::strips::Strip;
 use crate::error::{Error, Result};
 use crate::files::calibration::{Calibration, VehicleMatch};
-use crate::joint;
+use crate::joint::{self, untold::untold};
 use crate::model::{VehicleModel, parse_models};
 use crate::problem::Problem;
 use crate::road::fit::{self, BoxCue, Fit, PlaceErrors};
@@ -15,7 +15,7 @@ use crate::road::judge::{Judged, MAX_SPAN_M, MIN_CAR_PX, judge_lanes};
 use crate::road::lane_table::{self, DrawnLane};
 use crate::road::length_error::UncertainCamera;
 use crate::road::outline;
-use crate::trust::{MAX_REL_ERR, Trust};
+use crate::trust::{MAX_REL_ERR, Reason, Trust};
 use crate::validation::check_vehicle;
 use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
@@ -133,7 +133,7 @@ pub struct StripLook {
 pub struct VehicleLook {
     /// Typical misfit, px.
     pub misfit_px: Option<f64>,
-    /// Why it is not used.
+    /// Why it is not used, or what it is likelier than a car.
     pub problem: Option<String>,
 }
 
@@ -236,7 +236,7 @@ fn nothing() -> Error {
 fn measure(drawing: &Drawing, boxes: &[BoxCue], answer: &mut Look) -> Result<Option<Fit>> {
     let mut cues = drawing.cues()?;
     let vehicles = drawing.vehicles()?;
-    let mut usable = Vec::new();
+    let (mut usable, mut doubts) = (Vec::new(), Vec::new());
     for vehicle in &vehicles {
         let problem = check_vehicle(vehicle, &MODELS).err().map(|e| e.to_string());
         if problem.is_none() {
@@ -252,6 +252,7 @@ fn measure(drawing: &Drawing, boxes: &[BoxCue], answer: &mut Look) -> Result<Opt
             vehicle.misfit_px = misfits.next().copied();
         }
         cues.labelled = Some(joint.labelled());
+        doubts = untold(&problem, &joint::Settings::default(), &joint.estimate);
     }
     if drawing.use_traffic && !cues.lanes.is_empty() {
         cues.boxes = boxes.to_vec();
@@ -263,7 +264,22 @@ fn measure(drawing: &Drawing, boxes: &[BoxCue], answer: &mut Look) -> Result<Opt
     if empty {
         return Err(nothing());
     }
-    fit::fit(&cues, drawing.image_size).map(Some)
+    let mut found = fit::fit(&cues, drawing.image_size)?;
+    let used = |v: &(usize, &mut VehicleLook)| v.1.misfit_px.is_some();
+    let mut used: Vec<_> = answer.vehicles.iter_mut().enumerate().filter(used).collect();
+    for (k, doubt) in doubts.iter().enumerate() {
+        let (place, vehicle) = &mut used[doubt.vehicle];
+        let reason = Reason::OtherBody {
+            vehicles: vec![format!("vehicle {}", *place + 1)],
+            body: doubt.body.name(),
+            odds: doubt.log_odds.exp(),
+        };
+        vehicle.problem = Some(reason.to_string());
+        if k == 0 {
+            found.trust = Trust::Refused(reason);
+        }
+    }
+    Ok(Some(found))
 }
 
 fn camera_look(found: &Fit) -> CameraLook {

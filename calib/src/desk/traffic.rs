@@ -3,7 +3,7 @@
 //! Owns running `verge detect` beside this program, its boxes, and counting them by lane with
 //! the very table that the sensor would use. Does not own a detector.
 
-use super::backdrop::{Backdrop, name_of};
+use super::backdrop::{Backdrop, name_of, spread};
 use super::drawing::Drawing;
 use super::look;
 use super::site::Site;
@@ -26,6 +26,8 @@ pub const DETECTIONS: &str = "detections.jsonl";
 const COUNTS: f64 = 0.5;
 /// A box that ends so near to the picture's lower edge, px, is cut off by it, as in the sensor.
 const EDGE_PX: f64 = 0.5;
+/// Most pictures that are counted, spread over all: each is brought over the backdrop first.
+const MOST_COUNTED: usize = 200;
 
 /// The detector of this desk.
 #[derive(Clone, Debug)]
@@ -262,6 +264,7 @@ pub fn count(
 ) -> Result<Counts> {
     let frames =
         traffic.found().ok_or_else(|| Error::Usage("no picture was searched yet".into()))?;
+    let frames = spread(&frames, MOST_COUNTED);
     let calibration = look::calibration(drawing, &traffic.cue())?;
     let lanes = look::lanes(drawing, &calibration)?;
     let sha256 = Sha256::of(calibration.to_json().as_bytes());
@@ -271,7 +274,7 @@ pub fn count(
     let height = f64::from(drawing.image_size[1]);
     let mut totals = vec![0.0; 256];
     let mut counted = Vec::new();
-    for frame in frames.iter() {
+    for frame in &frames {
         let shift = site.picture(&frame.frame).and_then(|p| backdrop.shift(&p).ok());
         let [du, dv] = shift.filter(|s| s.sure).map_or([0.0; 2], |s| s.by);
         let place = |b: &(f64, f64, f64, f64, f64, String)| {

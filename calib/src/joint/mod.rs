@@ -16,6 +16,7 @@ pub mod shape;
 pub mod solver;
 pub mod start;
 pub mod uncertainty;
+pub mod untold;
 
 use crate::camera::Camera;
 use crate::error::Result;

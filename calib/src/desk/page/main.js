@@ -55,7 +55,6 @@ export class Desk {
     this.store = new Store(site.drawing);
     /** @type {import("./types.js").Look | null} */
     this.look = null;
-    this.moved = site.moved;
     this.hand = new Hand(this);
     this.stage = new Stage(/** @type {HTMLCanvasElement} */ (byId("canvas")), this.hand);
     this.stage.size = site.image_size;
@@ -81,6 +80,11 @@ export class Desk {
     this.kept = {};
     this.store.onChange(() => this.changed());
     this.listen();
+  }
+
+  /** How the camera moved since the site was saved, until somebody has looked. */
+  get moved() {
+    return this.store.drawing.backdrop === this.site.backdrop ? null : this.site.moved;
   }
 
   get step() {
@@ -279,7 +283,6 @@ export class Desk {
   }
 
   confirmMoved() {
-    this.moved = null;
     this.shownOld = false;
     this.store.edit((d) => { d.backdrop = this.site.backdrop; });
     this.showPicture();

@@ -164,6 +164,7 @@ export function vehicleBox(c, placed, box, shift) {
   const corners = [at(x0, y0), at(x1, y0), at(x1, y1), at(x0, y1)];
   stroke(c, placed, corners, colour, { closed: true, width: box.lane ? 2 : 1, dash: box.lane ? [] : [4, 4] });
   const foot = at((x0 + x1) / 2, y1);
-  knob(c, placed, foot, colour, box.lane !== null);
-  if (box.lane) label(c, placed, at((x0 + x1) / 2, y0), String(box.lane), colour, -11);
+  if (box.lane === null) return;
+  knob(c, placed, foot, colour, true);
+  label(c, placed, at((x0 + x1) / 2, y0), String(box.lane), colour, -11);
 }

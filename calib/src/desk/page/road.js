@@ -64,7 +64,7 @@ function tools(desk) {
     },
     {
       name: "Vehicle", key: "K", colour: COLOURS.vehicle, takes: "vehicle",
-      hint: "Click the point of the vehicle that is lit in the drawing beside; skip what is hidden. Four are the least, seven are good.",
+      hint: "Click the point of the vehicle that is lit in the drawing beside; what is hidden is skipped by choosing another number there. Four are the least, seven are good.",
       click(at) {
         const { drawing } = desk.store;
         const chosen = desk.selection?.kind === "vehicle" ? desk.selection.index : -1;
@@ -266,9 +266,10 @@ function vehicles(desk) {
       const select = el("select", { "aria-label": `vehicle ${index + 1} is a`, onchange: () => desk.store.edit((d) => { d.vehicles[index].body = select.value; }) },
         ...["car", "taxi", "van", "minibus"].map((body) => el("option", { value: body, text: body })));
       select.value = v.body;
-      return item(desk, "vehicle", index, COLOURS.vehicle, String(index + 1), fit?.problem ? "bad" : "",
+      const few = Object.keys(v.points).length < 4;
+      return item(desk, "vehicle", index, COLOURS.vehicle, String(index + 1), fit?.problem && !few ? "bad" : "",
         el("span", { class: "controls" }, select, el("span", { class: "dim", text: `${Object.keys(v.points).length} points` })),
-        fit?.problem ? el("span", { class: "wide bad-text", text: fit.problem })
+        fit?.problem ? el("span", { class: `wide ${few ? "dim" : "bad-text"}`, text: few ? "four points are the least" : fit.problem })
           : fit?.misfit_px ? el("span", { class: "wide dim", text: `its points miss their fit by ${fit.misfit_px.toFixed(2)} px` }) : null);
     })),
     chosen >= 0 && el("button", { class: "small", onclick: () => desk.select(null) }, "Begin another vehicle"),

@@ -19,8 +19,10 @@ pub(super) fn svg(drawing: &Drawing) -> String {
 
 fn element(shape: &Shape) -> String {
     match shape {
+        // Cells of a map meet without a seam, however large it is shown.
         Shape::Rectangle([x, y, w, h], c) => format!(
-            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{w:.2}\" height=\"{h:.2}\" {}/>",
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{w:.2}\" height=\"{h:.2}\" \
+             shape-rendering=\"crispEdges\" {}/>",
             fill(*c)
         ),
         Shape::Dot([x, y], r, c) => {

@@ -14,7 +14,7 @@ pub(super) type File = (String, Vec<u8>);
 
 const STYLE: &str = "body{font-family:sans-serif;color:#282828;max-width:900px;margin:24px auto;\
     padding:0 16px}table{border-collapse:collapse}td,th{padding:3px 12px;text-align:right;\
-    border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}\
+    border-bottom:1px solid #ddd}td:first-child,th:first-child,.text{text-align:left}\
     svg{max-width:100%;height:auto;margin:8px 0}a{color:#325fa0}";
 
 /// Text for HTML, in content and in quoted attributes.
@@ -157,7 +157,8 @@ pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
     );
     let unknown = Place::default();
     let mut table = String::from(
-        "<table>\n<tr><th>site</th><th>where</th><th>days</th><th>lanes</th><th>archived</th>\
+        "<table>\n<tr><th>site</th><th class=\"text\">where</th><th>days</th><th>lanes</th>\
+         <th>archived</th>\
          <th>with density</th><th>mean veh/km/lane (90 %)</th></tr>\n",
     );
     let mut day = [Mean::default(); BINS];
@@ -180,7 +181,7 @@ pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
         }
         let _ = writeln!(
             table,
-            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td>{}</td>\
+            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td class=\"text\">{}</td>\
              <td>{days}</td><td>{lanes}</td>\
              <td>{archived:.1} %</td><td>{known:.1} %</td><td>{mean}</td></tr>",
             escaped(&place.words().join(", "))
@@ -231,8 +232,8 @@ fn trouble(summaries: &[Summary], places: &Places) -> (String, String) {
     sites.sort_unstable();
     sites.dedup();
     let mut table = format!(
-        "<h2>Trouble: {} of {} sites</h2>\n<table>\n<tr><th>site</th><th>where</th>\
-         <th>since (UTC)</th><th>what</th></tr>\n",
+        "<h2>Trouble: {} of {} sites</h2>\n<table>\n<tr><th>site</th><th class=\"text\">where</th>\
+         <th>since (UTC)</th><th class=\"text\">what</th></tr>\n",
         sites.len(),
         summaries.len()
     );
@@ -242,8 +243,8 @@ fn trouble(summaries: &[Summary], places: &Places) -> (String, String) {
         let _ = writeln!(csv, "{site},{since},\"{reason}\"");
         let _ = writeln!(
             table,
-            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td>{}</td><td>{}</td>\
-             <td>{reason}</td></tr>",
+            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td>\
+             <td class=\"text\">{}</td><td>{}</td><td class=\"text\">{reason}</td></tr>",
             escaped(&place.join(", ")),
             since[..16].replace('T', " ")
         );

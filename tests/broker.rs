@@ -295,7 +295,7 @@ fn tls_with_certificates_of_both_sides() {
             let tls = Some(Tls::load(&files).expect("right files"));
             let host = "localhost".into();
             let local = MqttSettings::local(port, "verge/k109f");
-            let outcome = probe(&MqttSettings { host, tls, version, ..local });
+            let outcome = probe(&MqttSettings { host, tls, version, ..local }, &[]);
             assert_eq!(outcome.is_ok(), accepted, "{outcome:?}");
         }
     }

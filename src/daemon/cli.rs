@@ -28,10 +28,16 @@ enum Command {
         config: PathBuf,
     },
     /// Try every part of a configuration, one line per check
+    ///
+    /// As root it tries the unit's configuration (/etc/verge/verge.toml) as the unit's user.
     Check {
         /// Configuration, TOML
         #[arg(long, value_name = "FILE")]
         config: PathBuf,
+        /// Try for up to five minutes until all passes: for a new system that is to be kept or
+        /// given up
+        #[arg(long)]
+        after_update: bool,
     },
     /// Measure density in recorded frames
     Replay(commands::replay::Args),
@@ -73,7 +79,7 @@ where
         .init();
     match cli.command {
         Command::Run { config } => commands::run::run(&config, board),
-        Command::Check { config } => commands::check::run(&config),
+        Command::Check { config, after_update } => commands::check::run(&config, after_update),
         Command::Replay(args) => commands::replay::run(&args),
         Command::Detect(args) => commands::detect::run(&args),
         #[cfg(feature = "desk")]

@@ -76,6 +76,16 @@ pub enum Failure {
         /// What the system says.
         source: std::io::Error,
     },
+    /// A place that the daemon must write to.
+    #[error("cannot write {}: {source}; {remedy}", path.display())]
+    Unwritable {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+        /// What to do.
+        remedy: &'static str,
+    },
     /// An input file that cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Input {
@@ -93,7 +103,7 @@ pub enum Failure {
         count: usize,
     },
     /// The broker.
-    #[error("broker {host}:{port}: {reason}; is it running, and are host and port right?")]
+    #[error("broker {host}:{port}: {reason}")]
     Broker {
         /// Host name or address.
         host: String,
@@ -183,7 +193,7 @@ impl Exit for Failure {
             Self::Input { .. } => NOINPUT,
             Self::Messages { .. } | Self::NodeSettings { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
-            Self::Write { .. } | Self::Spool(_) => CANTCREAT,
+            Self::Write { .. } | Self::Unwritable { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,
             Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
         }

@@ -64,7 +64,7 @@ impl Metrics {
     }
 
     fn try_write(&self, health: &Health, alarms: &[Alarm], connected: bool) -> Result<(), Failure> {
-        let mut file = WholeFile::create(&self.file)?;
+        let mut file = WholeFile::create(&self.file)?.for_everybody()?;
         file.line(self.text(health, alarms, connected).trim_end())?;
         file.finish()
     }
@@ -310,6 +310,8 @@ mod tests {
         metrics.write(&health(), &[Alarm::NoPicture, Alarm::Overheated], true);
         let text = std::fs::read_to_string(&path).expect("written");
         assert!(text.ends_with('\n') && !text.contains("\n\n"));
+        let mode = std::os::unix::fs::MetadataExt::mode(&path.metadata().expect("written"));
+        assert_eq!(mode & 0o777, 0o644, "node_exporter runs as another user");
         let samples = parsed(&text);
         let density = "verge_lane_density_vehicles_per_kilometre";
         for (series, value) in [

@@ -20,6 +20,7 @@ mod clock;
 mod commands;
 pub mod config;
 pub mod detect;
+pub mod dial;
 pub mod exit;
 pub mod foreign;
 pub mod frame;

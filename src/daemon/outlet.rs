@@ -6,6 +6,10 @@ use super::publish::{Delivery, Format, Identity, MqttSettings, Publisher};
 use super::serial::{SerialOutput, SerialSettings};
 use super::spool::{Spool, SpoolCounts};
 use crate::sensor::ClosedWindow;
+use std::time::{Duration, Instant};
+
+/// Time after which a window that the broker did not take, or the disk did not give, is tried again.
+const RETRY: Duration = Duration::from_secs(30);
 
 /// The end of the line: windows into the spool, and from there to the broker.
 ///
@@ -17,12 +21,15 @@ pub struct Outlet {
     spool: Spool,
     publisher: Publisher,
     serial: Option<SerialOutput>,
+    /// When what was put off is tried next.
+    retry_at: Instant,
 }
 
 impl Outlet {
     /// Starts publishing; a broker that is away is no error.
     pub fn start(broker: MqttSettings, format: Format, identity: Identity, spool: Spool) -> Self {
-        Self { identity, spool, publisher: Publisher::start(broker, format), serial: None }
+        let publisher = Publisher::start(broker, format);
+        Self { identity, spool, publisher, serial: None, retry_at: Instant::now() + RETRY }
     }
 
     /// The same without a disk: what has not arrived ends with the program.
@@ -76,6 +83,10 @@ impl Outlet {
     /// times a second.
     pub fn tend(&mut self) {
         self.hear();
+        if Instant::now() >= self.retry_at {
+            self.retry_at = Instant::now() + RETRY;
+            self.spool.resume();
+        }
         for _ in 0..self.publisher.arrears_wanted() {
             let Some(arrear) = self.spool.next_arrear() else { return };
             self.publisher.arrear(arrear.key, &arrear.message, arrear.is_last);
@@ -87,7 +98,14 @@ impl Outlet {
             match delivery {
                 Delivery::Opened => self.spool.rewind(),
                 Delivery::Closed => {}
-                Delivery::Taken(key) => self.spool.acknowledge(key),
+                Delivery::Taken { key, replayed } => {
+                    if replayed {
+                        // One was tried, and has passed: so may the others.
+                        self.spool.resume_like(key);
+                    }
+                    self.spool.acknowledge(key);
+                }
+                Delivery::PutOff(key) => self.spool.put_off(key),
             }
         }
     }

@@ -33,6 +33,19 @@ impl WholeFile {
         Ok(Self { path: path.to_owned(), partial, writer, finished: false })
     }
 
+    /// Everybody may read it, whatever the umask: it is made for another program's user.
+    ///
+    /// # Errors
+    /// [`Failure::Write`].
+    pub fn for_everybody(self) -> Result<Self, Failure> {
+        use std::os::unix::fs::PermissionsExt;
+        let mode = fs::Permissions::from_mode(0o644);
+        match self.writer.get_ref().set_permissions(mode) {
+            Ok(()) => Ok(self),
+            Err(source) => Err(self.failed(source)),
+        }
+    }
+
     /// Adds a line.
     ///
     /// # Errors

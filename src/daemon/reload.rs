@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
+use std::time::{Duration, Instant};
 
 /// All that a configuration asks for, loaded and checked.
 pub struct Candidate {
@@ -62,11 +63,21 @@ pub enum Outcome {
     Refused(Failure),
 }
 
+/// A thread that reads, and since when.
+struct Loading {
+    outcome: Receiver<Result<Candidate, Failure>>,
+    since: Instant,
+}
+
+/// Longest time that reading may take: a model is planned in seconds. Then the thread is left
+/// behind: a file of it may be a device, or a share that is away.
+const LONGEST: Duration = Duration::from_secs(300);
+
 /// Reads the configuration again when it is asked to.
 pub struct Reload {
     path: PathBuf,
     asked: Arc<AtomicBool>,
-    loading: Option<Receiver<Result<Candidate, Failure>>>,
+    loading: Option<Loading>,
 }
 
 impl Reload {
@@ -79,8 +90,12 @@ impl Reload {
     /// often a new configuration was asked for while one was loaded: the files are read once
     /// more, and what was loaded before counts no longer.
     pub fn outcome(&mut self, running: &Config) -> Option<Outcome> {
-        let loaded = match self.loading.as_ref().map(Receiver::try_recv) {
-            Some(Err(TryRecvError::Empty)) => return None,
+        let loaded = match self.loading.as_ref().map(|loading| loading.outcome.try_recv()) {
+            Some(Err(TryRecvError::Empty)) if !self.is_late() => return None,
+            Some(Err(TryRecvError::Empty)) => Some(Err(Failure::Internal(format!(
+                "reading it has taken {} s: is one of its files a device, or on a share that is away?",
+                LONGEST.as_secs()
+            )))),
             Some(Err(TryRecvError::Disconnected)) => Some(Err(Failure::Stage(
                 "loading the configuration panicked; the message stands above".to_owned(),
             ))),
@@ -97,6 +112,10 @@ impl Reload {
         })
     }
 
+    fn is_late(&self) -> bool {
+        self.loading.as_ref().is_some_and(|loading| loading.since.elapsed() > LONGEST)
+    }
+
     fn begin(&mut self, running: Config) -> Outcome {
         let (sender, receiver) = mpsc::channel();
         let path = self.path.clone();
@@ -107,7 +126,7 @@ impl Reload {
         });
         match thread {
             Ok(_) => {
-                self.loading = Some(receiver);
+                self.loading = Some(Loading { outcome: receiver, since: Instant::now() });
                 Outcome::Begun
             }
             Err(error) => Outcome::Refused(Failure::Internal(format!("no thread: {error}"))),

@@ -1,4 +1,4 @@
-//! Which certificate a camera may show, and what is said where it shows another.
+//! Which certificate a camera or a broker may show, and what is said where it shows another.
 //!
 //! Owns three rules: public authorities, a file of certificates, or one certificate's
 //! fingerprint. A certificate that stands in the file itself, or whose fingerprint is pinned, is
@@ -25,6 +25,15 @@ pub enum Trust {
     Certificates(Vec<CertificateDer<'static>>),
     /// The one with this SHA-256 of its DER form.
     Fingerprint([u8; 32]),
+}
+
+/// Who shows a certificate, for the words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Peer {
+    /// The camera.
+    Camera,
+    /// The broker.
+    Broker,
 }
 
 impl Trust {
@@ -69,27 +78,43 @@ impl Trust {
         }
     }
 
-    /// How TLS is done with it.
+    /// How TLS is done with it, with a camera.
+    ///
+    /// # Errors
+    /// What TLS cannot be done with.
     pub fn config(&self) -> Result<ClientConfig, Error> {
         let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let verifier = Verifier::new(self, &provider)?;
+        let verifier = self.verifier(Peer::Camera, &provider)?;
         Ok(ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()?
             .dangerous()
-            .with_custom_certificate_verifier(Arc::new(verifier))
+            .with_custom_certificate_verifier(verifier)
             .with_no_client_auth())
+    }
+
+    /// What judges a certificate, and finds words for it.
+    ///
+    /// # Errors
+    /// What TLS cannot be done with.
+    pub fn verifier(
+        &self,
+        peer: Peer,
+        provider: &Arc<CryptoProvider>,
+    ) -> Result<Arc<dyn ServerCertVerifier>, Error> {
+        Ok(Arc::new(Verifier::new(self, peer, provider)?))
     }
 }
 
 #[derive(Debug)]
 struct Verifier {
     trust: Trust,
+    peer: Peer,
     authorities: Option<Arc<WebPkiServerVerifier>>,
     provider: Arc<CryptoProvider>,
 }
 
 impl Verifier {
-    fn new(trust: &Trust, provider: &Arc<CryptoProvider>) -> Result<Self, Error> {
+    fn new(trust: &Trust, peer: Peer, provider: &Arc<CryptoProvider>) -> Result<Self, Error> {
         let mut roots = RootCertStore::empty();
         match trust {
             Trust::Public => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
@@ -107,7 +132,7 @@ impl Verifier {
                 WebPkiServerVerifier::builder_with_provider(roots.into(), provider.clone());
             Some(builder.build().map_err(|error| Error::General(error.to_string()))?)
         };
-        Ok(Self { trust: trust.clone(), authorities, provider })
+        Ok(Self { trust: trust.clone(), peer, authorities, provider })
     }
 
     /// Whether this very certificate is trusted.
@@ -141,11 +166,21 @@ impl ServerCertVerifier for Verifier {
                     "the camera's certificate is not the one in camera.fingerprint: it has {own}. Was \
                      the camera replaced or reset?"
                 ),
-                _ => format!("the camera's certificate is not in camera.ca_file; it has {own}"),
+                _ => match self.peer {
+                    Peer::Camera => {
+                        format!("the camera's certificate is not in camera.ca_file; it has {own}")
+                    }
+                    Peer::Broker => "the broker's certificate is not in mqtt.ca_file".to_owned(),
+                },
             }));
         };
         let judged = authorities.verify_server_cert(certificate, intermediates, name, ocsp, now);
-        judged.map_err(|error| Error::General(refusal(&error, &self.trust, &own)))
+        judged.map_err(|error| {
+            Error::General(match self.peer {
+                Peer::Camera => refusal(&error, &self.trust, &own),
+                Peer::Broker => broker_refusal(&error, &self.trust, name),
+            })
+        })
     }
 
     fn verify_tls12_signature(
@@ -203,6 +238,51 @@ fn refusal(error: &Error, trust: &Trust, own: &str) -> String {
             };
             format!("{by}: cameras make their own. {remedy}")
         }
+    }
+}
+
+/// What is wrong with a broker's certificate, and how to make one that is right.
+fn broker_refusal(error: &Error, trust: &Trust, name: &ServerName<'_>) -> String {
+    use CertificateError as Wrong;
+    let host = name.to_str();
+    let kind = if matches!(name, ServerName::IpAddress(_)) { "IP" } else { "DNS" };
+    let remedy = format!(
+        "make it anew with `openssl x509 -req ... -extfile <(echo subjectAltName={kind}:{host})`, or \
+         name the certificate itself in mqtt.ca_file"
+    );
+    let Error::InvalidCertificate(wrong) = error else { return format!("TLS: {error}") };
+    match wrong {
+        Wrong::Expired | Wrong::ExpiredContext { .. } => {
+            "the broker's certificate has expired: renew it (or is the box's clock wrong?)"
+                .to_owned()
+        }
+        Wrong::NotValidYet | Wrong::NotValidYetContext { .. } => {
+            "the broker's certificate is not valid yet: is the box's clock right?".to_owned()
+        }
+        Wrong::NotValidForName | Wrong::NotValidForNameContext { .. } => format!(
+            "the broker's certificate is not for {host}: set mqtt.host to a name that it holds, or \
+             {remedy}"
+        ),
+        Wrong::UnknownIssuer => match trust {
+            Trust::Public => "no public authority vouches for the broker's certificate: name the \
+                              authority's, or the broker's own, in mqtt.ca_file"
+                .to_owned(),
+            _ => {
+                "the broker's certificate neither stands in mqtt.ca_file nor is signed by one that \
+                  does"
+                    .to_owned()
+            }
+        },
+        other if format!("{other:?}").contains("UnsupportedCertVersion") => format!(
+            "the broker's certificate is of X.509 version 1, as `openssl x509 -req` without \
+             extensions makes it, which is not safe to take: {}",
+            remedy.split(", or name").next().unwrap_or_default()
+        ),
+        other if format!("{other:?}").contains("CaUsedAsEndEntity") => {
+            "the broker's certificate is one that it made itself: name it in mqtt.ca_file"
+                .to_owned()
+        }
+        other => format!("the broker's certificate cannot be taken ({other}): {remedy}"),
     }
 }
 

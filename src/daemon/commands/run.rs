@@ -8,7 +8,7 @@ use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::notify::Notify;
 use crate::daemon::reload::{Outcome, Reload};
-use crate::daemon::running::Running;
+use crate::daemon::running::{Publishing, Running};
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::path::Path;
@@ -68,8 +68,20 @@ where
             ready = true;
         }
         // The end of the line: a stage that hangs is never followed by these.
-        notify.alive();
-        board.feed(now);
+        match running.publishing() {
+            Publishing::Turning => {
+                notify.alive();
+                board.feed(now);
+            }
+            Publishing::Stalled => {}
+            Publishing::Lost => {
+                // Nothing is waited for: what has not arrived is on the disk.
+                return Err(Failure::Internal(
+                    "the publishing thread has ended or hangs; the next start delivers what waits"
+                        .to_owned(),
+                ));
+            }
+        }
         std::thread::sleep(next.saturating_duration_since(Instant::now()).min(TICK));
     }
     log::info!("stopping");

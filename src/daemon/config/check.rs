@@ -3,6 +3,7 @@
 use super::sections::MAX_TIMEOUT_S;
 use super::{Config, Mqtt};
 use crate::daemon::address::Address;
+use crate::daemon::foreign::shown;
 use crate::daemon::publish::Format;
 use crate::daemon::trust::Trust;
 use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
@@ -12,6 +13,7 @@ impl Config {
     /// The first key with a wrong value, and what would be right.
     pub(super) fn check(&self) -> Result<(), (&'static str, String)> {
         let known = |ok: bool, key, reason: String| if ok { Ok(()) } else { Err((key, reason)) };
+        self.check_names()?;
         let plain = |text: &str| !text.is_empty() && !text.contains(['+', '#', '\0']);
         known(
             plain(&self.site) && self.site.len() <= MAX_NAME && !self.site.contains('/'),
@@ -111,6 +113,49 @@ impl Config {
             "spool.days",
             format!("{}: give 0.01 to 60", self.spool.days),
         )
+    }
+
+    /// Names that a template, a script or an address has left odd.
+    fn check_names(&self) -> Result<(), (&'static str, String)> {
+        let odd_host = |host: &str| {
+            if host.contains("://") {
+                Some("a name or an address alone, and mqtt.tls = true for mqtts://")
+            } else if host.trim() != host || host.contains(char::is_whitespace) {
+                Some("it has a blank in it")
+            } else if host.contains(['[', ']']) {
+                Some("leave the brackets away")
+            } else if host.contains(':') && host.parse::<std::net::Ipv6Addr>().is_err() {
+                Some("give the port in mqtt.port")
+            } else if host.is_empty() || host.contains(['/', '@']) {
+                Some("give a name or an address")
+            } else {
+                None
+            }
+        };
+        if let Some(what) = odd_host(&self.mqtt.host) {
+            return Err(("mqtt.host", format!("{:?}: {what}", shown(&self.mqtt.host))));
+        }
+        let root = self.mqtt.root.as_deref().unwrap_or_default();
+        for (key, text) in [("site", self.site.as_str()), ("mqtt.root", root)] {
+            let what = if text.contains("${") || text.contains("{{") {
+                "a placeholder that nobody has filled in"
+            } else if text.trim() != text || text.chars().any(char::is_control) {
+                "blanks at its ends, or control characters"
+            } else {
+                continue;
+            };
+            return Err((key, format!("{:?}: {what}", shown(text))));
+        }
+        if root.starts_with(['/', '$']) || root.ends_with('/') {
+            return Err((
+                "mqtt.root",
+                format!("{root:?}: no / at its ends, and no $ in front, which is the broker's own"),
+            ));
+        }
+        if self.mqtt.password_file.is_some() && self.mqtt.user.is_none() {
+            return Err(("mqtt.password_file", "whose is it? Set mqtt.user too".to_owned()));
+        }
+        Ok(())
     }
 
     /// Keys of the camera that do not go together.

@@ -112,8 +112,15 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] names file, key and reason.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let unread = |source| ConfigError::Read { path: path.to_owned(), source };
+        let text = std::fs::read_to_string(path).map_err(unread)?;
+        let writable = writable_by_others(path).map_err(unread)?;
+        if let Some(mode) = writable {
+            return Err(ConfigError::Parse {
+                path: path.to_owned(),
+                reason: format!("mode {mode:03o} lets everybody write it: chmod o-w"),
+            });
+        }
         let mut config: Self = toml::from_str(&text).map_err(|error| ConfigError::Parse {
             path: path.to_owned(),
             reason: veiled(error.to_string().trim_end()),
@@ -250,6 +257,13 @@ impl Config {
                 folder.join(self.camera.source.trim()).to_string_lossy().into_owned();
         }
     }
+}
+
+/// The mode of a file that everybody may write.
+fn writable_by_others(path: &Path) -> std::io::Result<Option<u32>> {
+    use std::os::unix::fs::MetadataExt;
+    let mode = std::fs::metadata(path)?.mode() & 0o777;
+    Ok((mode & 0o002 != 0).then_some(mode))
 }
 
 #[cfg(test)]

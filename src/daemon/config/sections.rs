@@ -226,7 +226,7 @@ impl Default for Mqtt {
             user: None,
             password_file: None,
             keep_alive_s: 30,
-            version: crate::daemon::publish::MqttVersion::V3,
+            version: crate::daemon::publish::MqttVersion::Auto,
             replay_per_s: 10.0,
         }
     }

@@ -58,7 +58,15 @@ fn wrong_keys_and_values_are_named() {
         ("http://127.0.0.1:8080/", "http://a:b#c@127.0.0.1/", "%23"),
         ("#user = \"operator\"", "ca_file = \"camera.pem\"", "not secured by TLS"),
         ("#user = \"operator\"", "password_file = \"x\"", "camera.password_file"),
-        ("#version = \"3.1.1\"", "version = \"4\"", "3.1.1"),
+        ("#version = \"auto\"", "version = \"4\"", "3.1.1"),
+        ("#host = \"127.0.0.1\"", "host = \"mqtt://127.0.0.1\"", "mqtt.host"),
+        ("#host = \"127.0.0.1\"", "host = \"127.0.0.1:1883\"", "mqtt.port"),
+        ("#host = \"127.0.0.1\"", "host = \" 127.0.0.1\"", "blank"),
+        ("#host = \"127.0.0.1\"", "host = \"[::1]\"", "brackets"),
+        ("site = \"k109f\"", "site = \"${HOSTNAME}\"", "placeholder"),
+        ("site = \"k109f\"", "site = \" \"", "site"),
+        ("#root = \"verge/k109f\"", "root = \"/city/verge/\"", "mqtt.root"),
+        ("#root = \"verge/k109f\"", "root = \"$SYS/verge\"", "mqtt.root"),
         ("#replay_per_s = 10.0", "replay_per_s = 0", "mqtt.replay_per_s"),
         ("#days = 7.0", "days = 90", "spool.days"),
         ("#window_s = 300", "window_s = 60", "serial.window_s"),
@@ -87,6 +95,23 @@ fn a_password_that_others_can_read_is_refused() {
     assert!(error.contains("644") && !error.contains("hunter2"), "{error}");
     let (user, password) = mode(0o600).expect("private").expect("given");
     assert_eq!((user.as_str(), password.as_str()), ("box", "hunter2"));
+}
+
+#[test]
+fn a_configuration_that_everybody_may_write_is_refused() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("verge.toml");
+    std::fs::write(&path, EXAMPLE).expect("written");
+    for (mode, right) in [(0o640, true), (0o664, true), (0o666, false), (0o602, false)] {
+        let permissions = std::fs::Permissions::from_mode(mode);
+        std::fs::set_permissions(&path, permissions).expect("chmod");
+        let read = Config::read(&path);
+        assert_eq!(read.is_ok(), right, "{mode:03o}");
+        if let Err(error) = read {
+            assert!(error.to_string().contains("chmod o-w"), "{error}");
+        }
+    }
 }
 
 #[test]

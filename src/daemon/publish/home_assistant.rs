@@ -8,6 +8,9 @@
 use crate::lane::Lane;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use verge_messages::Topic;
 
@@ -49,7 +52,7 @@ pub fn announcements(
     windows: &[Duration],
     follows: bool,
 ) -> Vec<Announcement> {
-    let id = format!("verge_{}", plain(site));
+    let id = device_id(site);
     let presence = Topic::Presence.under(root);
     let common = json!({
         "device": {
@@ -128,17 +131,68 @@ pub fn announcements(
     messages
 }
 
-/// A name as an id: Home Assistant takes letters, digits, `_` and `-` in topics.
-fn plain(name: &str) -> String {
+/// A site as an id: Home Assistant takes letters, digits, `_` and `-` in topics. Where a name has
+/// others, a part of its digest keeps it apart from names that look the same without them.
+fn device_id(site: &str) -> String {
     let allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-    name.chars().map(|c| if allowed(c) { c } else { '_' }).collect()
+    let plain: String = site.chars().map(|c| if allowed(c) { c } else { '_' }).collect();
+    if plain == site {
+        return format!("verge_{plain}");
+    }
+    let digest = Sha256::digest(site);
+    let tail: String = digest.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+    format!("verge_{plain}_{tail}")
+}
+
+/// The topics on which Home Assistant was told of something, over restarts: what is given up later
+/// must be taken back.
+#[derive(Debug)]
+pub struct Announced {
+    file: PathBuf,
+    topics: BTreeSet<String>,
+}
+
+impl Announced {
+    /// Reads what an earlier run has announced, beside its windows.
+    pub fn open(folder: &Path) -> Self {
+        let file = folder.join("announced");
+        let text = std::fs::read_to_string(&file).unwrap_or_default();
+        Self { file, topics: text.lines().map(str::to_owned).collect() }
+    }
+
+    /// What is to be taken back when these alone are announced from now on: empty messages.
+    pub fn given_up(&self, now: &[Announcement]) -> Vec<Announcement> {
+        let is_gone = |topic: &&String| now.iter().all(|new| new.topic != **topic);
+        let empty = |topic: &String| Announcement { topic: topic.clone(), payload: Vec::new() };
+        self.topics.iter().filter(is_gone).map(empty).collect()
+    }
+
+    /// These were announced, and all others taken back.
+    pub fn note(&mut self, now: &[Announcement]) {
+        let topics: BTreeSet<_> = now.iter().map(|new| new.topic.clone()).collect();
+        if topics == self.topics {
+            return;
+        }
+        let text: String = topics.iter().map(|topic| format!("{topic}\n")).collect();
+        let written = if topics.is_empty() {
+            std::fs::remove_file(&self.file)
+        } else {
+            std::fs::write(&self.file, text)
+        };
+        if let Err(error) = written {
+            log::warn!(
+                "{}: {error}; Home Assistant may keep what a later configuration gives up",
+                self.file.display()
+            );
+        }
+        self.topics = topics;
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::units::{Direction, LaneId};
-    use std::collections::BTreeSet;
 
     fn made() -> Vec<Announcement> {
         of_site(false)
@@ -159,11 +213,42 @@ mod tests {
     fn topics_are_those_of_discovery() {
         let topics: Vec<_> = made().into_iter().map(|message| message.topic).collect();
         let expected = [
-            "homeassistant/binary_sensor/verge_k_109_f/connectivity/config",
-            "homeassistant/sensor/verge_k_109_f/lane1_density/config",
-            "homeassistant/sensor/verge_k_109_f/lane2_density/config",
+            "homeassistant/binary_sensor/verge_k_109_f_ID/connectivity/config",
+            "homeassistant/sensor/verge_k_109_f_ID/lane1_density/config",
+            "homeassistant/sensor/verge_k_109_f_ID/lane2_density/config",
         ];
-        assert_eq!(topics, expected);
+        assert_eq!(topics, expected.map(|topic| topic.replace("verge_k_109_f_ID", &id())));
+    }
+
+    fn id() -> String {
+        device_id("k 109/f")
+    }
+
+    #[test]
+    fn ids_are_unique_for_any_site() {
+        assert_eq!(device_id("k109-F_2"), "verge_k109-F_2", "a plain name stays as it is");
+        let names = ["k 1", "k_1", "k/1", "k.1", "k\u{e4}1", "k\u{f6}1", "\u{4e2d}", "\u{6587}"];
+        let ids: BTreeSet<_> = names.iter().map(|name| device_id(name)).collect();
+        assert_eq!(ids.len(), names.len());
+        assert!(ids.iter().all(|id| id.is_ascii() && !id.contains(['/', '.', ' '])));
+    }
+
+    #[test]
+    fn what_was_given_up_is_known_over_restarts() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let all = made();
+        let mut announced = Announced::open(folder.path());
+        assert!(announced.given_up(&all).is_empty());
+        announced.note(&all);
+        let mut announced = Announced::open(folder.path());
+        let gone = announced.given_up(&all[..2]);
+        assert_eq!(gone, [Announcement { topic: all[2].topic.clone(), payload: Vec::new() }]);
+        announced.note(&all[..2]);
+        // Turned off: all of it goes.
+        let mut announced = Announced::open(folder.path());
+        assert_eq!(announced.given_up(&[]).len(), 2);
+        announced.note(&[]);
+        assert!(Announced::open(folder.path()).given_up(&[]).is_empty());
     }
 
     /// Keys that the documentation of the MQTT `sensor` and `binary_sensor` has.
@@ -199,7 +284,7 @@ mod tests {
             }
             // Required, and required for a device to be made.
             assert!(payload["state_topic"].is_string() && payload["origin"]["name"].is_string());
-            assert_eq!(payload["device"]["identifiers"][0], "verge_k_109_f");
+            assert_eq!(payload["device"]["identifiers"][0], id());
             assert!(ids.insert(payload["unique_id"].to_string()), "{payload:#}");
         }
     }
@@ -229,6 +314,6 @@ mod tests {
         );
         assert_eq!(payload["unit_of_measurement"], "veh/km");
         assert_eq!(payload["expire_after"], 180);
-        assert_eq!(payload["unique_id"], "verge_k_109_f_lane2_density");
+        assert_eq!(payload["unique_id"], format!("{}_lane2_density", id()));
     }
 }

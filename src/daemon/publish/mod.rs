@@ -81,7 +81,14 @@ pub enum Delivery {
     /// The session has ended.
     Closed,
     /// The broker has taken the window with this key.
-    Taken(u64),
+    Taken {
+        /// Its key.
+        key: u64,
+        /// It was one of an outage.
+        replayed: bool,
+    },
+    /// The broker does not take the window with this key now.
+    PutOff(u64),
 }
 
 /// Sends what the line measures.
@@ -182,8 +189,12 @@ impl Publisher {
         match report {
             Report::Taken { key } => {
                 self.live.remove(&key);
+                return Delivery::Taken { key, replayed: self.arrears.remove(&key) };
+            }
+            Report::PutOff { key } => {
+                self.live.remove(&key);
                 self.arrears.remove(&key);
-                return Delivery::Taken(key);
+                return Delivery::PutOff(key);
             }
             Report::Opened { session } => self.session = Some(session),
             Report::Closed => self.session = None,
@@ -214,6 +225,11 @@ impl Publisher {
         self.session
     }
 
+    /// How long the connection's thread has not turned; `None` where it has ended.
+    pub fn stalled(&self) -> Option<Duration> {
+        self.connection.stalled()
+    }
+
     /// Messages that the broker has taken, and refused, since start.
     pub fn counts(&self) -> (u64, u64) {
         (self.connection.delivered(), self.connection.refused())
@@ -224,7 +240,7 @@ impl Publisher {
     pub fn stop(self) -> impl Iterator<Item = u64> {
         self.connection.stop(DRAIN).into_iter().filter_map(|report| match report {
             Report::Taken { key } => Some(key),
-            Report::Opened { .. } | Report::Closed => None,
+            Report::Opened { .. } | Report::Closed | Report::PutOff { .. } => None,
         })
     }
 

@@ -11,7 +11,7 @@ use crate::daemon::line::Line;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::outlet::Outlet;
 use crate::daemon::presets::Following;
-use crate::daemon::publish::home_assistant::{self, Announcement};
+use crate::daemon::publish::home_assistant::{self, Announced, Announcement};
 use crate::daemon::publish::payload;
 use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
 use crate::sensor::Action;
@@ -23,6 +23,8 @@ pub struct Hands {
     pub(super) outlet: Outlet,
     pub(super) metrics: Option<Metrics>,
     announcements: Vec<Announcement>,
+    /// What Home Assistant was told of, in earlier runs too.
+    known: Announced,
     /// The session that was told what there is.
     announced: Option<u64>,
     /// The latest fault, until a picture is measured.
@@ -42,6 +44,7 @@ impl Hands {
             outlet,
             metrics: config.metrics.file.as_deref().map(Metrics::new),
             announcements: announcements(config, line),
+            known: Announced::open(config.spool_folder()),
             announced: None,
             last_fault: None,
             refused: None,
@@ -147,24 +150,22 @@ impl Hands {
         let publisher = self.outlet.publisher();
         let session = publisher.session();
         if session.is_some() && session != std::mem::replace(&mut self.announced, session) {
+            for announcement in self.known.given_up(&self.announcements) {
+                publisher.announce(announcement);
+            }
             for announcement in &self.announcements {
                 publisher.announce(announcement.clone());
             }
+            self.known.note(&self.announcements);
         }
     }
 
-    /// What is said follows another configuration. What Home Assistant was told and is no more
-    /// is taken back by an empty message.
+    /// What is said follows another configuration.
     pub fn change(&mut self, before: &Config, config: &Config, line: &Line) {
         if before.metrics.file != config.metrics.file {
             self.metrics = config.metrics.file.as_deref().map(Metrics::new);
         }
-        let new = announcements(config, line);
-        let is_gone = |old: &Announcement| new.iter().all(|new| new.topic != old.topic);
-        for Announcement { topic, .. } in self.announcements.drain(..).filter(is_gone) {
-            self.outlet.publisher().announce(Announcement { topic, payload: Vec::new() });
-        }
-        self.announcements = new;
+        self.announcements = announcements(config, line);
         self.difference = None;
         self.announced = None;
     }

@@ -43,6 +43,32 @@ fn outcome_of(fault: &Failure) -> Outcome<'static> {
     }
 }
 
+/// How the publishing thread is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Publishing {
+    /// It turns.
+    Turning,
+    /// It has not turned for so long that the watchdog gets no food.
+    Stalled,
+    /// It has ended, or will not turn again: the process ends, and is started anew.
+    Lost,
+}
+
+impl Publishing {
+    /// It may take 10 s each to find a name, to connect, and to write.
+    const STALLED: Duration = Duration::from_secs(60);
+    const LOST: Duration = Duration::from_secs(180);
+
+    fn of(stalled: Option<Duration>) -> Self {
+        match stalled {
+            None => Self::Lost,
+            Some(time) if time > Self::LOST => Self::Lost,
+            Some(time) if time > Self::STALLED => Self::Stalled,
+            Some(_) => Self::Turning,
+        }
+    }
+}
+
 /// The line at work, with what decides and what performs.
 pub struct Running {
     config: Config,
@@ -85,6 +111,11 @@ impl Running {
     /// Time between two pictures at the pace of now.
     pub fn interval(&self) -> Duration {
         self.sensor.interval()
+    }
+
+    /// Whether the publishing thread turns.
+    pub fn publishing(&self) -> Publishing {
+        Publishing::of(self.hands.outlet.publisher().stalled())
     }
 
     /// Says goodbye; what has not arrived waits on the disk.
@@ -209,6 +240,16 @@ impl Running {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_thread_that_does_not_turn_gets_no_watchdog_fed_and_ends_the_process() {
+        let after = |seconds| Publishing::of(Some(Duration::from_secs(seconds)));
+        assert_eq!([0, 45, 61, 200].map(after), {
+            use Publishing::{Lost, Stalled, Turning};
+            [Turning, Turning, Stalled, Lost]
+        });
+        assert_eq!(Publishing::of(None), Publishing::Lost);
+    }
 
     #[test]
     fn a_panic_of_a_stage_is_a_fault_with_its_message() {

@@ -130,6 +130,29 @@ pub fn examine(segment: &[u8]) -> SegmentContents {
     SegmentContents { windows, notes, damaged: scan.damaged, torn: scan.is_torn() }
 }
 
+/// Whether windows can be written in a folder; false where another verge has it. Nothing is left
+/// there, and a folder that was not there is not afterwards.
+///
+/// # Errors
+/// What the system says.
+pub fn probe(folder: &Path) -> io::Result<bool> {
+    let is_new = !folder.exists();
+    std::fs::create_dir_all(folder)?;
+    let outcome = match lock(folder) {
+        Err(_) => Ok(false),
+        Ok(_) => {
+            let trial = folder.join("check");
+            let written = std::fs::write(&trial, vec![0; SEGMENT]);
+            let _ = std::fs::remove_file(&trial);
+            written.map(|()| true)
+        }
+    };
+    if is_new {
+        let _ = std::fs::remove_dir(folder);
+    }
+    outcome
+}
+
 /// Windows on their way to the broker.
 #[derive(Debug)]
 pub struct Spool {
@@ -164,8 +187,9 @@ impl Spool {
         let mut spool = Self::in_memory();
         spool.keep(windows);
         spool.folder = Some(folder.to_owned());
+        let made = std::fs::create_dir_all(folder);
         spool.lock = lock(folder)?;
-        match spool.recover(folder) {
+        match made.map_err(SpoolError::Disk).and_then(|()| spool.recover(folder)) {
             Err(SpoolError::Disk(error)) => {
                 log::error!("spool {}: {error}; windows are kept in memory", folder.display());
             }
@@ -247,14 +271,14 @@ impl Spool {
         }
     }
 
-    /// Tries again what the disk would not give, and of what was put off all, or the oldest one
-    /// of each length to see.
-    pub fn resume(&mut self, all: bool) {
+    /// Tries again what the disk would not give, and of what was put off the oldest one of each
+    /// length, to see.
+    pub fn resume(&mut self) {
         let mut tried = BTreeSet::new();
         for entry in &mut self.entries {
             let again = match entry.given {
                 Given::Unreadable => true,
-                Given::PutOff => tried.insert(entry.window_s) || all,
+                Given::PutOff => tried.insert(entry.window_s),
                 Given::No | Given::Yes => false,
             };
             if again {
@@ -263,9 +287,12 @@ impl Spool {
         }
     }
 
-    /// Whether something waits for [`Self::resume`].
-    pub fn is_put_off(&self) -> bool {
-        self.entries.iter().any(|e| matches!(e.given, Given::PutOff | Given::Unreadable))
+    /// Tries again all that was put off and is as long as the window with this key.
+    pub fn resume_like(&mut self, key: u64) {
+        let Some(index) = self.find(key) else { return };
+        let window_s = self.entries[index].window_s;
+        let alike = |entry: &&mut Entry| entry.given == Given::PutOff && entry.window_s == window_s;
+        self.entries.iter_mut().filter(alike).for_each(|entry| entry.given = Given::No);
     }
 
     /// The oldest window that was not given out yet.

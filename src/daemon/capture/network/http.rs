@@ -3,11 +3,12 @@
 //! Owns redirects, the login, and where a body ends. One connection an answer. What is wrong
 //! with lengths and ends is the reader's to judge: it knows what a whole picture is.
 
-use super::connection::{Connection, is_timeout};
+use super::connection::Connection;
 use super::head::{self, Head, MAX_HEAD};
 use super::login::Login;
 use super::{CameraError, CameraSettings, Fault};
 use crate::daemon::address::Address;
+use crate::daemon::dial;
 use crate::daemon::foreign::shown;
 use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
@@ -174,7 +175,7 @@ pub(in crate::daemon::capture) fn read_head(
             }
             Ok(bytes) => buffer.extend_from_slice(&chunk[..bytes]),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-            Err(error) if is_timeout(&error) => {
+            Err(error) if dial::is_timeout(&error) => {
                 return Err(Fault::Timeout { what: "answer", waited: limit });
             }
             Err(error) => return Err(connection.fault(&error, "answer")),

@@ -7,10 +7,11 @@
 
 use super::sdp::{self, Codec, Video};
 use crate::daemon::address::{Address, Protocol};
-use crate::daemon::capture::network::connection::{Connection, is_timeout};
+use crate::daemon::capture::network::connection::Connection;
 use crate::daemon::capture::network::head::{self, Head};
 use crate::daemon::capture::network::login::Login;
 use crate::daemon::capture::network::{CameraSettings, Fault};
+use crate::daemon::dial;
 use crate::daemon::foreign::shown;
 use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
@@ -374,7 +375,7 @@ impl Session {
             }
             Ok(_) => Ok(true),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(false),
-            Err(error) if is_timeout(&error) => {
+            Err(error) if dial::is_timeout(&error) => {
                 Err(Fault::Timeout { what, waited: self.connection.limit() })
             }
             Err(error) => Err(self.connection.fault(&error, what)),

@@ -1,36 +1,46 @@
 //! The connection to the broker, in a thread of its own.
 //!
-//! Owns what the connection is made with and the handle on its thread. `worker` owns the
-//! life of sessions, `backoff` the waits between them, `link` the two versions of MQTT: the
-//! door of the crate `rumqttc`.
+//! Owns what the connection is made with and the handle on its thread. `worker` owns the life of
+//! sessions, `backoff` the waits between them, `ways` the version that is spoken, `outbox` what
+//! waits, `bans` what a broker does not take, `echo` whether 3.1.1 keeps it; `link` is one
+//! connection, `packet` the door of the crate `rumqttc`.
 
 mod backoff;
+mod bans;
+mod echo;
 mod link;
+mod outbox;
+mod packet;
+mod probe;
 mod tls;
+mod ways;
 mod worker;
 
+pub use probe::probe;
 pub use tls::{Tls, TlsError, TlsFiles};
 
-use link::{Link, Signal};
+use crate::daemon::clock;
+use crate::daemon::foreign::shown;
+use packet::{Denial, Spoken};
 use serde::Deserialize;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
-use worker::{Command, Worker};
-
-/// Longest wait for a connection and its acknowledgement.
-const CONNECT: Duration = Duration::from_secs(10);
+use std::time::Duration;
+use worker::Worker;
 
 /// The protocol's version.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 pub enum MqttVersion {
-    /// 3.1.1, which every broker speaks.
+    /// 5, and 3.1.1 with a broker that does not speak it.
     #[default]
+    #[serde(rename = "auto")]
+    Auto,
+    /// 3.1.1, which every broker speaks.
     #[serde(rename = "3.1.1")]
     V3,
-    /// 5, which says why it refuses a message.
+    /// 5, which says what became of a message.
     #[serde(rename = "5")]
     V5,
 }
@@ -59,13 +69,13 @@ pub struct MqttSettings {
 }
 
 impl MqttSettings {
-    /// An unsecured broker on this machine.
+    /// An unsecured broker of MQTT 3.1.1 on this machine.
     pub fn local(port: u16, root: &str) -> Self {
         Self {
             host: "127.0.0.1".into(),
             port,
             tls: None,
-            version: MqttVersion::default(),
+            version: MqttVersion::V3,
             client_id: String::new(),
             credentials: None,
             root: root.into(),
@@ -79,6 +89,45 @@ impl MqttSettings {
             "" => self.root.replace('/', "-"),
             given => given.to_owned(),
         }
+    }
+
+    /// Whom the broker's access list must name, for people.
+    fn who(&self) -> String {
+        match &self.credentials {
+            Some((user, _)) => format!("user {:?}", shown(user)),
+            None => format!("the client id {:?}", self.client_id()),
+        }
+    }
+}
+
+/// What a broker's no means, and what to do.
+fn said_of(denial: &Denial, settings: &MqttSettings, spoken: Spoken) -> String {
+    match denial {
+        Denial::Version => {
+            let version = match spoken {
+                Spoken::V3 => "3.1.1",
+                Spoken::V5 => "5",
+            };
+            format!("it does not speak MQTT {version} (mqtt.version)")
+        }
+        Denial::Retain => "it keeps no retained messages".to_owned(),
+        Denial::Login => match &settings.credentials {
+            Some((user, _)) => format!(
+                "the broker refuses user {:?}: check mqtt.user and mqtt.password_file, and that it \
+                 may write {}/presence",
+                shown(user),
+                settings.root
+            ),
+            None => "the broker wants a user and a password: set mqtt.user and mqtt.password_file"
+                .to_owned(),
+        },
+        Denial::ClientId => {
+            format!(
+                "the broker refuses the client id {:?}: set mqtt.client_id",
+                settings.client_id()
+            )
+        }
+        Denial::Other(reason) => format!("the broker refuses the session: {reason}"),
     }
 }
 
@@ -101,8 +150,29 @@ pub(super) struct Message {
 pub struct Statistics {
     /// Taken over by the broker.
     pub delivered: AtomicU64,
-    /// Refused by the broker, with a reason (MQTT 5).
+    /// Not taken by the broker, in words or without.
     pub refused: AtomicU64,
+    /// When the thread last turned, by the clock that nobody sets, ms.
+    beat_ms: AtomicU64,
+}
+
+impl Statistics {
+    /// The thread turns.
+    fn beat(&self) {
+        self.beat_ms.store(now_ms(), Ordering::Relaxed);
+    }
+}
+
+fn now_ms() -> u64 {
+    u64::try_from(clock::monotonic().as_millis()).unwrap_or(u64::MAX)
+}
+
+/// What the handle asks for.
+enum Command {
+    State(Message),
+    Window { session: u64, key: u64, live: bool, message: Message },
+    Change { settings: Box<MqttSettings>, within: Duration },
+    Stop { within: Duration },
 }
 
 /// What the connection's thread has to say, in its order.
@@ -114,6 +184,8 @@ pub(super) enum Report {
     Closed,
     /// The broker has taken the window.
     Taken { key: u64 },
+    /// It does not take it now.
+    PutOff { key: u64 },
 }
 
 /// Handle of the connection's thread.
@@ -130,6 +202,7 @@ impl Connection {
         let (commands, receiver) = mpsc::channel();
         let (sender, reports) = mpsc::channel();
         let statistics = Arc::new(Statistics::default());
+        statistics.beat();
         let worker = Worker::new(settings, receiver, sender, Arc::clone(&statistics));
         let thread = std::thread::Builder::new()
             .name("publish".into())
@@ -166,6 +239,13 @@ impl Connection {
         self.statistics.refused.load(Ordering::Relaxed)
     }
 
+    /// How long the thread has not turned; `None` where it has ended.
+    pub(super) fn stalled(&self) -> Option<Duration> {
+        let beat_ms = self.statistics.beat_ms.load(Ordering::Relaxed);
+        let stalled = Duration::from_millis(now_ms().saturating_sub(beat_ms));
+        (!self.thread.is_finished()).then_some(stalled)
+    }
+
     /// Connects with these settings instead, where they differ: says goodbye when what there
     /// is was delivered, or after `within`.
     pub(super) fn change(&self, settings: MqttSettings, within: Duration) {
@@ -181,24 +261,4 @@ impl Connection {
         }
         self.reports.try_iter().collect()
     }
-}
-
-/// Asks the broker for a connection and ends it again; nothing is published.
-///
-/// # Errors
-/// The reason, where no connection came about within ten seconds.
-pub fn probe(settings: &MqttSettings) -> Result<(), String> {
-    let id = format!("{}-check", settings.client_id());
-    let mut link = Link::open(settings, &id, None)?;
-    let until = Instant::now() + CONNECT;
-    let outcome = loop {
-        match link.next(until.saturating_duration_since(Instant::now())) {
-            Signal::Accepted => break Ok(()),
-            Signal::Ended(reason) => break Err(reason),
-            Signal::Quiet => break Err(format!("no answer within {} s", CONNECT.as_secs())),
-            Signal::Sent(_) | Signal::Taken(_) | Signal::Refused(..) | Signal::Other => {}
-        }
-    };
-    link.disconnect();
-    outcome
 }

@@ -1,11 +1,14 @@
 //! Certificates: whom we trust, and who we are to a broker that asks.
 //!
-//! The door of the crates `rustls` and `webpki-roots`.
+//! Owns the files of the configuration that secure the connection, and what is said where that
+//! fails. Which certificate is taken is `trust`'s.
 
-use rumqttc::{TlsConfiguration, Transport};
+use super::link::End;
+use crate::daemon::foreign::shown;
+use crate::daemon::trust::{Peer, Trust};
 use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use rustls::{ClientConfig, RootCertStore};
+use rustls::{AlertDescription as Alert, ClientConfig, Error};
 use sha2::{Digest, Sha256};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -39,7 +42,7 @@ pub enum TlsError {
 /// The files of a secured connection.
 #[derive(Clone, Debug, Default)]
 pub struct TlsFiles {
-    /// Certificates that vouch for the broker; `None`: the public ones.
+    /// Certificates that vouch for the broker, or its own; `None`: the public ones.
     pub ca: Option<PathBuf>,
     /// Our certificate chain and its private key.
     pub identity: Option<(PathBuf, PathBuf)>,
@@ -71,21 +74,28 @@ impl Tls {
     /// # Errors
     /// [`TlsError`] names the file and what is wrong with it.
     pub fn load(files: &TlsFiles) -> Result<Self, TlsError> {
-        let unfit = |key, error: rustls::Error| TlsError::Unfit { key, reason: error.to_string() };
-        let mut roots = RootCertStore::empty();
-        match &files.ca {
-            None => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
+        let unfit = |key, error: Error| TlsError::Unfit { key, reason: error.to_string() };
+        let trust = match &files.ca {
+            None => Trust::Public,
             Some(path) => {
-                for certificate in certificates("mqtt.ca_file", path)? {
-                    roots.add(certificate).map_err(|error| unfit("ca_file", error))?;
-                }
+                let wrong = |reason| TlsError::Read {
+                    key: "mqtt.ca_file",
+                    path: path.clone(),
+                    reason,
+                    expected: "certificates",
+                };
+                let file = std::fs::read(path).map_err(|error| wrong(error.to_string()))?;
+                Trust::certificates(&file).map_err(wrong)?
             }
-        }
+        };
         let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let verifier =
+            trust.verifier(Peer::Broker, &provider).map_err(|error| unfit("ca_file", error))?;
         let config = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
             .map_err(|error| unfit("tls", error))?
-            .with_root_certificates(roots);
+            .dangerous()
+            .with_custom_certificate_verifier(verifier);
         let config = match &files.identity {
             None => config.with_no_client_auth(),
             Some((certificate, key)) => {
@@ -100,9 +110,40 @@ impl Tls {
         Ok(Self { config: Arc::new(config), digest: digest(files) })
     }
 
-    pub(super) fn transport(&self) -> Transport {
-        Transport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&self.config)))
+    pub(super) fn config(&self) -> Arc<ClientConfig> {
+        Arc::clone(&self.config)
     }
+}
+
+/// What a fault of TLS means, and what to do.
+pub(super) fn end(error: &Error) -> End {
+    End::Unsafe(match error {
+        // The words of `trust`.
+        Error::General(text) => text.clone(),
+        Error::InvalidMessage(_) => {
+            "no TLS is spoken at this port: take the one with TLS (usually 8883), or leave \
+             mqtt.tls away"
+                .to_owned()
+        }
+        Error::PeerIncompatible(_) | Error::AlertReceived(Alert::ProtocolVersion) => {
+            "the broker speaks no TLS from version 1.2 on".to_owned()
+        }
+        Error::AlertReceived(Alert::CertificateRequired | Alert::HandshakeFailure) => {
+            "the broker wants a certificate of the box: mqtt.certificate_file and mqtt.key_file"
+                .to_owned()
+        }
+        Error::AlertReceived(
+            Alert::UnknownCA
+            | Alert::BadCertificate
+            | Alert::CertificateUnknown
+            | Alert::CertificateExpired
+            | Alert::CertificateRevoked
+            | Alert::DecryptError,
+        ) => "the broker does not take the certificate of the box (mqtt.certificate_file): is it \
+              expired, or signed by another authority than the broker's?"
+            .to_owned(),
+        other => format!("TLS: {}", shown(&other.to_string())),
+    })
 }
 
 /// What the files hold. They can be read: they were, a moment ago.

@@ -1,15 +1,21 @@
 //! The life of sessions: connect, send in order, hear acknowledgements, back off.
 //!
-//! Owns reconnection and the queues of a session. States (health, alarms) are kept until a
-//! broker has them; windows live in a session and no longer, for the spool has them and gives
-//! them again to the next.
+//! Owns reconnection and what follows from what a broker does. `outbox` has the queues, `bans`
+//! what is set aside, `echo` the proof that 3.1.1 lacks. States (health, alarms, discovery) are
+//! kept until a broker has them; windows live in a session and no longer, for the spool has them
+//! and gives them again to the next.
 
 use super::backoff::Backoff;
-use super::link::{IN_FLIGHT, Link, Signal};
-use super::{CONNECT, Message, MqttSettings, Report, Statistics};
-use std::collections::VecDeque;
+use super::bans::Bans;
+use super::echo::{Echo, Verdict};
+use super::link::{End, Link};
+use super::outbox::{Kind, Outbox, Sending};
+use super::packet::{Acknowledged, Incoming, Limits, Spoken, TAKEN_OVER};
+use super::ways::Ways;
+use super::{Command, Message, MqttSettings, Report, Statistics, said_of};
+use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::time::{Duration, Instant};
 use verge_messages::{Presence, Topic};
@@ -18,41 +24,18 @@ use verge_messages::{Presence, Topic};
 const TICK: Duration = Duration::from_millis(50);
 /// Longest wait for the last words of a connection to leave.
 const GOODBYE: Duration = Duration::from_secs(1);
-/// Most states that wait: health and alarms are a dozen topics, discovery up to fifty.
-const MAX_STATES: usize = 128;
+/// A session that has lasted so long is a good one.
+const QUIET: Duration = Duration::from_secs(60);
+/// Sessions that end early, with nothing on its way, before a second client of our id is suspected.
+const EARLY_ENDS: u32 = 3;
 
-/// What the handle asks for.
-pub(super) enum Command {
-    State(Message),
-    Window { session: u64, key: u64, live: bool, message: Message },
-    Change { settings: Box<MqttSettings>, within: Duration },
-    Stop { within: Duration },
-}
-
-/// The phase of a connection.
-#[derive(Clone, Copy, PartialEq)]
-enum Phase {
-    Connecting,
-    Open,
-    Leaving { until: Instant },
-}
-
-/// What a message is, which decides what becomes of it when the session ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
-    /// Said anew by each session.
-    Presence,
-    /// Kept until a broker has it.
-    State,
-    /// Given again by the spool.
-    Window { key: u64 },
-}
-
-struct Sending {
-    kind: Kind,
-    message: Message,
-    /// Known once it has left.
-    packet: Option<u16>,
+/// One session, from the broker's yes on.
+struct Session {
+    link: Link,
+    limits: Limits,
+    echo: Echo,
+    since: Instant,
+    leaving: Option<Instant>,
 }
 
 pub(super) struct Worker {
@@ -61,12 +44,17 @@ pub(super) struct Worker {
     reports: Sender<Report>,
     statistics: Arc<Statistics>,
     backoff: Backoff,
+    ways: Ways,
+    bans: Bans,
+    outbox: Outbox,
     session: u64,
-    /// States and live windows, in their order.
-    queue: VecDeque<Sending>,
-    /// Windows of an outage: they go when nothing else waits.
-    arrears: VecDeque<Sending>,
-    in_flight: VecDeque<Sending>,
+    /// One message at a time: a connection has ended, and it is not known on which.
+    careful: bool,
+    /// A broker that closes on subscriptions is asked for none.
+    echoes: bool,
+    early_ends: u32,
+    /// What was said once: topics without a subscriber, sizes, and the like.
+    said: BTreeSet<String>,
     /// What to connect with next, when this connection is done or at that time.
     change: Option<(Box<MqttSettings>, Instant)>,
     stop_at: Option<Instant>,
@@ -80,15 +68,19 @@ impl Worker {
         statistics: Arc<Statistics>,
     ) -> Self {
         Self {
+            ways: Ways::new(settings.version),
             settings,
             commands,
             reports,
             statistics,
             backoff: Backoff::new(),
+            bans: Bans::default(),
+            outbox: Outbox::default(),
             session: 0,
-            queue: VecDeque::new(),
-            arrears: VecDeque::new(),
-            in_flight: VecDeque::new(),
+            careful: false,
+            echoes: true,
+            early_ends: 0,
+            said: BTreeSet::new(),
             change: None,
             stop_at: None,
         }
@@ -97,18 +89,19 @@ impl Worker {
     pub(super) fn run(mut self) {
         let mut random = fastrand::Rng::new();
         loop {
-            let reason = self.session().unwrap_or_else(|reason| reason);
+            let reason = self.life();
             self.collect();
             self.end_session();
             if self.stop_at.is_some() {
                 return;
             }
             if let Some((settings, _)) = self.change.take() {
-                self.settings = *settings;
-                self.backoff.reset();
+                self.begin_anew(*settings);
                 continue;
             }
-            let wait = self.backoff.wait(&mut random);
+            let Some(reason) = reason else { continue };
+            let wait = self.backoff.wait(&mut random, Instant::now());
+            self.ways.rested();
             let MqttSettings { host, port, .. } = &self.settings;
             log::warn!(
                 "broker {host}:{port}: {reason}; next attempt in {:.1} s",
@@ -118,106 +111,358 @@ impl Worker {
         }
     }
 
-    /// One connection from its beginning to its end; returns why it ended.
-    fn session(&mut self) -> Result<String, String> {
-        let will = self.presence(Presence::Offline);
-        let mut link = Link::open(&self.settings, &self.settings.client_id(), Some(will))?;
-        let mut phase = Phase::Connecting;
-        loop {
-            if phase == Phase::Open {
-                self.collect();
-                self.pump(&link);
-                if self.is_done() {
-                    self.transmit(&link, Kind::Presence, self.presence(Presence::Shutdown));
-                    link.disconnect();
-                    phase = Phase::Leaving { until: Instant::now() + GOODBYE };
+    fn begin_anew(&mut self, settings: MqttSettings) {
+        self.ways = Ways::new(settings.version);
+        self.settings = settings;
+        self.backoff = Backoff::new();
+        (self.bans, self.said) = (Bans::default(), BTreeSet::new());
+        (self.careful, self.echoes, self.early_ends) = (false, true, 0);
+    }
+
+    /// One connection from its beginning to its end; returns why it ended, or nothing where the
+    /// next one is to follow at once, in other words.
+    fn life(&mut self) -> Option<String> {
+        self.statistics.beat();
+        let (spoken, retains) = self.ways.now();
+        let will = self.presence(Presence::Offline, retains);
+        let id = self.settings.client_id();
+        let link = match Link::open(&self.settings, spoken, &id, will) {
+            Ok(link) => link,
+            Err(end) => {
+                if matches!(end, End::Unreachable(_)) {
+                    // It was away, or is another one: nothing that went wrong before counts.
+                    self.backoff.away();
+                    self.early_ends = 0;
                 }
+                return Some(end.reason());
             }
-            match link.next(if phase == Phase::Connecting { CONNECT } else { TICK }) {
-                Signal::Accepted => {
-                    phase = Phase::Open;
-                    log::info!("connected to {}:{}", self.settings.host, self.settings.port);
-                    self.transmit(&link, Kind::Presence, self.presence(Presence::Online));
-                    self.session += 1;
-                    self.report(Report::Opened { session: self.session });
-                }
-                Signal::Sent(packet) => {
-                    if let Some(sent) = self.in_flight.iter_mut().find(|m| m.packet.is_none()) {
-                        sent.packet = Some(packet);
+        };
+        self.backoff.connected(Instant::now());
+        let (mut link, limits) = match self.knock(link, spoken) {
+            Ok(Some(accepted)) => accepted,
+            Ok(None) => return None,
+            Err(reason) => return Some(reason),
+        };
+        let retains = retains && limits.retains;
+        self.ways.accepted(limits.retains);
+        if let Some(seconds) = limits.keep_alive_s {
+            link.keep_alive_within(Duration::from_secs(u64::from(seconds)));
+        }
+        let now = Instant::now();
+        let presence = Topic::Presence.under(&self.settings.root);
+        let wanted = spoken == Spoken::V3 && self.echoes;
+        let limits = Limits { retains, ..limits };
+        let echo = Echo::new(wanted, presence, now);
+        let mut session = Session { link, limits, echo, since: now, leaving: None };
+        self.opened(&session);
+        let end = self.serve(&mut session).unwrap_or_else(|end| end);
+        Some(self.judge(&session, &end))
+    }
+
+    /// Waits for the broker's answer to our first packet.
+    fn knock(&mut self, mut link: Link, spoken: Spoken) -> Result<Option<(Link, Limits)>, String> {
+        let until = Instant::now() + super::link::CONNECT;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            match link.next(left.max(Duration::from_millis(1))) {
+                Ok(Some(Incoming::Accepted(limits))) => return Ok(Some((link, limits))),
+                Ok(Some(Incoming::Denied(denial))) => {
+                    if self.ways.denied(&denial) {
+                        let said = said_of(&denial, &self.settings, spoken);
+                        log::info!("another way to the broker: {said}");
+                        return Ok(None);
                     }
+                    return Err(said_of(&denial, &self.settings, spoken));
                 }
-                Signal::Taken(packet) => self.taken(packet),
-                Signal::Refused(packet, reason) => self.refused(packet, &reason),
-                Signal::Ended(reason) => return Ok(reason),
-                Signal::Other => {}
-                Signal::Quiet => match phase {
-                    Phase::Connecting => return Err("no answer".to_owned()),
-                    Phase::Leaving { until } if Instant::now() >= until => {
-                        return Ok("stopped".to_owned());
-                    }
-                    Phase::Open | Phase::Leaving { .. } => {}
-                },
+                Ok(Some(_)) => return Err("it answers with something else than yes or no".into()),
+                Ok(None) if left.is_zero() => return Err("no answer to our first packet".into()),
+                Ok(None) => {}
+                Err(End::Closed) => {
+                    self.ways.closed();
+                    let tls = match self.settings.tls {
+                        None => "; does it want TLS (mqtt.tls = true)?",
+                        Some(_) => "; does it want a certificate of the box?",
+                    };
+                    return Err(format!("it closed the connection in place of an answer{tls}"));
+                }
+                Err(end) => return Err(end.reason()),
             }
         }
     }
 
-    fn presence(&self, state: Presence) -> Message {
+    fn opened(&mut self, session: &Session) {
+        let MqttSettings { host, port, .. } = &self.settings;
+        log::info!("connected to {host}:{port}");
+        if !session.limits.retains && self.said.insert("retain".to_owned()) {
+            log::warn!(
+                "the broker keeps no retained messages: who subscribes later misses presence, \
+                 health and alarms until the next of them"
+            );
+        }
+        self.bans.begin();
+        self.outbox.first(Kind::Presence, self.presence(Presence::Online, true));
+        self.session += 1;
+        self.report(Report::Opened { session: self.session });
+    }
+
+    /// A session until it ends.
+    fn serve(&mut self, session: &mut Session) -> Result<End, End> {
+        loop {
+            self.statistics.beat();
+            let now = Instant::now();
+            if session.leaving.is_none() {
+                self.collect();
+                self.pump(session, now)?;
+                if self.is_done(now) {
+                    let shutdown = self.presence(Presence::Shutdown, session.limits.retains);
+                    let packet = session.link.publish(&shutdown)?;
+                    let sending = Sending { kind: Kind::Presence, message: shutdown };
+                    self.outbox.sent(sending, packet, now);
+                    session.leaving = Some(now + GOODBYE);
+                }
+            } else if session.leaving.is_some_and(|until| now >= until || self.outbox.is_idle()) {
+                session.link.disconnect();
+                return Ok(End::Told("stopped".to_owned()));
+            }
+            if let Some(incoming) = session.link.next(TICK)? {
+                self.hear(session, incoming)?;
+            }
+            if let Some(verdict) = session.echo.tick(Instant::now()) {
+                self.follow(verdict);
+            }
+            let patience = 2 * self.settings.keep_alive;
+            if let Some(sent) = self.outbox.oldest_in_flight().filter(|at| at.elapsed() > patience)
+            {
+                return Ok(End::Broken(format!(
+                    "the broker acknowledges nothing for {} s",
+                    sent.elapsed().as_secs()
+                )));
+            }
+            if session.since.elapsed() > QUIET && (self.careful || self.early_ends > 0) {
+                (self.careful, self.early_ends) = (false, 0);
+            }
+            if session.since.elapsed() > QUIET {
+                self.backoff.reset();
+            }
+        }
+    }
+
+    fn hear(&mut self, session: &mut Session, incoming: Incoming) -> Result<(), End> {
+        match incoming {
+            Incoming::Acknowledged(packet, outcome) => {
+                if let Some(sent) = self.outbox.remove(packet) {
+                    self.acknowledged(session, sent, outcome);
+                }
+            }
+            Incoming::Subscribed { granted } => {
+                if let Some(verdict) = session.echo.answered(granted) {
+                    self.follow(verdict);
+                }
+            }
+            Incoming::Echo { topic, .. } => {
+                let (is_proven, verdict) = session.echo.came(&topic);
+                if is_proven {
+                    session.link.unsubscribe(&topic)?;
+                }
+                if let Some(verdict) = verdict {
+                    self.follow(verdict);
+                }
+            }
+            Incoming::Accepted(_) | Incoming::Denied(_) => {
+                return Err(End::Broken("the broker says yes or no twice".to_owned()));
+            }
+            Incoming::Pong | Incoming::Closing(_) | Incoming::Other => {}
+        }
+        Ok(())
+    }
+
+    fn acknowledged(&mut self, session: &mut Session, sent: Sending, outcome: Acknowledged) {
+        let (topic, size) = (&sent.message.topic, sent.message.payload.len());
+        let key = match sent.kind {
+            Kind::Window { key } => Some(key),
+            Kind::Presence | Kind::State => None,
+        };
+        match outcome {
+            Acknowledged::Taken => {}
+            // The next subscriber gets what is retained.
+            Acknowledged::Unheard if key.is_none() => {}
+            Acknowledged::Unheard => {
+                if self.bans.refused(topic, Instant::now()) {
+                    log::warn!(
+                        "nobody subscribes to {topic}: its windows wait in the spool until \
+                         somebody does"
+                    );
+                }
+                return self.put_off(key);
+            }
+            Acknowledged::Refused(reason) => {
+                self.statistics.refused.fetch_add(1, Ordering::Relaxed);
+                if self.bans.refused(topic, Instant::now()) {
+                    log::error!(
+                        "the broker refuses {topic}: {reason}; allow {} to publish there. Windows \
+                         stay in the spool",
+                        self.settings.who()
+                    );
+                }
+                return self.put_off(key);
+            }
+        }
+        if let Some(key) = key
+            && !session.echo.acknowledged(topic, key, Instant::now())
+        {
+            return;
+        }
+        if self.bans.taken(topic, size) {
+            log::info!("the broker takes {topic} again");
+        }
+        if sent.kind != Kind::Presence {
+            self.statistics.delivered.fetch_add(1, Ordering::Relaxed);
+        }
+        if let Some(key) = key {
+            self.arrived(key);
+        }
+    }
+
+    /// A window is where it belongs.
+    fn arrived(&mut self, key: u64) {
+        self.backoff.reset();
+        self.report(Report::Taken { key });
+    }
+
+    fn put_off(&self, key: Option<u64>) {
+        if let Some(key) = key {
+            self.report(Report::PutOff { key });
+        }
+    }
+
+    fn follow(&mut self, verdict: Verdict) {
+        match verdict {
+            Verdict::Taken(keys) => {
+                self.statistics.delivered.fetch_add(keys.len() as u64, Ordering::Relaxed);
+                keys.into_iter().for_each(|key| self.arrived(key));
+            }
+            Verdict::Unprovable(keys) => {
+                if self.said.insert("unprovable".to_owned()) {
+                    log::info!(
+                        "this client may not read its own topics: with MQTT 3.1.1 nobody knows \
+                         whether the broker keeps what it acknowledges (mqtt.version = \"5\" tells)"
+                    );
+                }
+                self.follow(Verdict::Taken(keys));
+            }
+            Verdict::Dropped { topic, keys } => {
+                self.statistics.refused.fetch_add(keys.len() as u64, Ordering::Relaxed);
+                if self.bans.refused(&topic, Instant::now()) {
+                    log::error!(
+                        "the broker acknowledges {topic} and throws it away: allow {} to write and \
+                         read it, in the broker's access list. Windows stay in the spool",
+                        self.settings.who()
+                    );
+                }
+                keys.into_iter().for_each(|key| self.put_off(Some(key)));
+            }
+        }
+    }
+
+    /// What an end of a session says of those to come; returns the reason for people.
+    fn judge(&mut self, session: &Session, end: &End) -> String {
+        let mut reason = end.reason();
+        let is_early = session.since.elapsed() < QUIET;
+        let is_closed = *end == End::Closed;
+        let taken_over = reason.contains(TAKEN_OVER);
+        let is_told = matches!(end, End::Told(_)) && !taken_over;
+        if session.leaving.is_some() {
+            return reason;
+        }
+        if (is_closed || is_told) && session.echo.is_asking() {
+            self.echoes = false;
+        }
+        let alone = self.outbox.alone_in_flight();
+        if (is_closed || is_told) && self.outbox.in_flight() > 0 {
+            self.careful = true;
+            if let Some(message) = alone {
+                let (topic, size) = (message.topic.clone(), message.payload.len());
+                match self.bans.closed_on(&topic, size, Instant::now()) {
+                    Some(0) => log::error!(
+                        "the broker closes the connection on {topic}: it is set aside for a while. \
+                         Allow {} to publish there. Windows stay in the spool",
+                        self.settings.who()
+                    ),
+                    Some(from) => log::error!(
+                        "the broker closes the connection on {topic} from {from} bytes on: such \
+                         messages are set aside for a while. Raise its limit on packets. Windows \
+                         stay in the spool"
+                    ),
+                    None => {}
+                }
+            }
+        } else if is_closed && is_early {
+            self.early_ends += 1;
+        }
+        if taken_over || self.early_ends >= EARLY_ENDS {
+            self.backoff.give_way();
+            if !taken_over {
+                reason += &format!(
+                    " again and again: does another client use the client id {:?}?",
+                    self.settings.client_id()
+                );
+            }
+        }
+        reason
+    }
+
+    fn presence(&self, state: Presence, retain: bool) -> Message {
         let topic = Topic::Presence.under(&self.settings.root);
-        Message { topic, payload: state.text().into(), retain: true }
+        Message { topic, payload: state.text().into(), retain }
     }
 
     /// Sends what waits, as far as it may go ahead.
-    fn pump(&mut self, link: &Link) {
-        while self.in_flight.len() < IN_FLIGHT {
-            let next = self.queue.pop_front().or_else(|| self.arrears.pop_front());
-            let Some(Sending { kind, message, .. }) = next else { break };
-            self.transmit(link, kind, message);
+    fn pump(&mut self, session: &mut Session, now: Instant) -> Result<(), End> {
+        let most = if self.careful { 1 } else { session.limits.in_flight };
+        while let Some(mut sending) = self.outbox.next(most) {
+            let size = sending.message.payload.len();
+            let topic = sending.message.topic.clone();
+            // Topic, packet id, header, and properties of a byte.
+            let whole = size + topic.len() + 12;
+            if whole > session.limits.packet {
+                if self.said.insert(format!("size {topic}")) {
+                    log::error!(
+                        "the broker takes packets of {} bytes at most, and {topic} has {whole}: it is \
+                         set aside. Raise the broker's limit. Windows stay in the spool",
+                        session.limits.packet
+                    );
+                }
+                self.statistics.refused.fetch_add(1, Ordering::Relaxed);
+                self.set_aside(&sending);
+                continue;
+            }
+            if self.bans.forbid(&topic, size, now) {
+                self.set_aside(&sending);
+                continue;
+            }
+            if !matches!(sending.kind, Kind::State) && session.echo.asks(&topic) {
+                session.link.subscribe(&topic)?;
+            }
+            sending.message.retain &= session.limits.retains;
+            let sent = session.link.publish(&sending.message);
+            self.outbox.sent(sending, sent.as_ref().ok().copied().unwrap_or_default(), now);
+            sent?;
+        }
+        Ok(())
+    }
+
+    /// A message does not go now: a window comes again from the spool, a state with the next one
+    /// of its topic.
+    fn set_aside(&self, sending: &Sending) {
+        if let Kind::Window { key } = sending.kind {
+            self.put_off(Some(key));
         }
     }
 
     /// Whether the connection is to end, and everything is delivered or the time is up.
-    fn is_done(&self) -> bool {
-        let delivered = self.in_flight.is_empty() && self.queue.is_empty();
+    fn is_done(&self, now: Instant) -> bool {
         let end = self.stop_at.or(self.change.as_ref().map(|&(_, at)| at));
-        end.is_some_and(|end| delivered || Instant::now() >= end)
-    }
-
-    fn transmit(&mut self, link: &Link, kind: Kind, message: Message) {
-        let sending = Sending { kind, message, packet: None };
-        // The link holds twice what may be in flight: it is never full.
-        if link.publish(&sending.message) {
-            self.in_flight.push_back(sending);
-        } else {
-            self.queue.push_front(sending);
-        }
-    }
-
-    fn remove(&mut self, packet: u16) -> Option<Sending> {
-        let index = self.in_flight.iter().position(|m| m.packet == Some(packet))?;
-        self.in_flight.remove(index)
-    }
-
-    fn taken(&mut self, packet: u16) {
-        let Some(sent) = self.remove(packet) else { return };
-        self.backoff.reset();
-        if sent.kind != Kind::Presence {
-            self.statistics.delivered.fetch_add(1, Ordering::Relaxed);
-        }
-        if let Kind::Window { key } = sent.kind {
-            self.report(Report::Taken { key });
-        }
-    }
-
-    fn refused(&mut self, packet: u16, reason: &str) {
-        let Some(sent) = self.remove(packet) else { return };
-        let refused: &AtomicU64 = &self.statistics.refused;
-        if refused.fetch_add(1, Ordering::Relaxed) == 0 {
-            log::error!(
-                "the broker refuses {}: {reason}; allow this client to publish there. Windows \
-                 stay in the spool",
-                sent.message.topic
-            );
-        }
+        end.is_some_and(|end| self.outbox.is_delivered() || now >= end)
     }
 
     fn report(&self, report: Report) {
@@ -227,14 +472,7 @@ impl Worker {
 
     /// Forgets the session's windows; states go to the next one, in their order.
     fn end_session(&mut self) {
-        let sent = std::mem::take(&mut self.in_flight);
-        let waiting = std::mem::take(&mut self.queue);
-        self.arrears.clear();
-        for sending in sent.into_iter().chain(waiting) {
-            if sending.kind == Kind::State {
-                self.keep_state(sending.message);
-            }
-        }
+        self.outbox.end_session();
         // Windows that are still given to this session are refused from here on.
         self.session += 1;
         self.report(Report::Closed);
@@ -259,10 +497,12 @@ impl Worker {
     fn rest(&mut self, wait: Duration) {
         let until = Instant::now() + wait;
         while self.stop_at.is_none() && self.change.is_none() {
+            self.statistics.beat();
             let left = until.saturating_duration_since(Instant::now());
-            match self.commands.recv_timeout(left) {
+            match self.commands.recv_timeout(left.min(Duration::from_secs(1))) {
                 Ok(command) => self.accept(command),
-                Err(RecvTimeoutError::Timeout) => return,
+                Err(RecvTimeoutError::Timeout) if left.is_zero() => return,
+                Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => self.stop_at = Some(Instant::now()),
             }
         }
@@ -275,22 +515,10 @@ impl Worker {
             Command::Change { settings, within } => {
                 self.change = Some((settings, Instant::now() + within));
             }
-            Command::State(message) => self.keep_state(message),
+            Command::State(message) => self.outbox.state(message),
             // Of a session that has ended: the spool gives it again.
             Command::Window { session, .. } if session != self.session => {}
-            Command::Window { key, live, message, .. } => {
-                let kind = Kind::Window { key };
-                let queue = if live { &mut self.queue } else { &mut self.arrears };
-                queue.push_back(Sending { kind, message, packet: None });
-            }
-        }
-    }
-
-    fn keep_state(&mut self, message: Message) {
-        // Only the latest state of a topic is of use.
-        self.queue.retain(|waiting| waiting.message.topic != message.topic);
-        if self.queue.iter().filter(|waiting| waiting.kind == Kind::State).count() < MAX_STATES {
-            self.queue.push_back(Sending { kind: Kind::State, message, packet: None });
+            Command::Window { key, live, message, .. } => self.outbox.window(key, live, message),
         }
     }
 }

@@ -3,6 +3,8 @@
 //! Two pictures are judged as the running line would judge them. What it would withhold for
 //! longer than a moment fails the check, so that nobody leaves a camera that looks elsewhere.
 
+mod folders;
+
 use crate::alarm::Alarm;
 use crate::daemon::address::masked;
 use crate::daemon::assemble::{broker, first_picture, open_line};
@@ -12,8 +14,9 @@ use crate::daemon::publish::{self, payload::status_name};
 use crate::daemon::station::Station;
 use crate::health::Event;
 use std::path::Path;
-use std::time::Duration;
-use verge_desk::{Exit, sysexits::SOFTWARE};
+use std::time::{Duration, Instant};
+use verge_desk::Exit;
+use verge_desk::sysexits::{CONFIG, SOFTWARE};
 
 /// Time between the two pictures: by then two of one scene that is not the table's count as
 /// a move, and a camera that gives more than one in this time must give another.
@@ -26,14 +29,36 @@ const NEW: Duration = Duration::from_secs(70);
 /// Longest interval whose pictures are waited for.
 const LONGEST_WATCHED: Duration = Duration::from_secs(30);
 
-pub fn run(path: &Path) -> Result<(), Failure> {
+/// How long a system that has just started has until all must pass: network, clock and camera
+/// come one after the other.
+const AFTER_UPDATE: Duration = Duration::from_secs(300);
+/// Time between two tries of it.
+const AGAIN: Duration = Duration::from_secs(10);
+
+pub fn run(path: &Path, after_update: bool) -> Result<(), Failure> {
+    folders::become_the_units_user(path);
+    let begun = Instant::now();
+    loop {
+        let outcome = once(path);
+        // A configuration that is wrong stays so.
+        let may_mend = outcome.as_ref().is_err_and(|failure| failure.exit_code() != CONFIG);
+        if !after_update || !may_mend || begun.elapsed() + AGAIN > AFTER_UPDATE {
+            return outcome;
+        }
+        println!("again in {} s", AGAIN.as_secs());
+        std::thread::sleep(AGAIN);
+    }
+}
+
+fn once(path: &Path) -> Result<(), Failure> {
     let mut report = Report::default();
     let Some(config) = report.line("config", Config::read(path), |config| {
         format!(
-            "{}: site {}, windows {:?} s",
+            "{}: site {}, windows {:?} s, read {}",
             path.display(),
             config.site,
-            config.windows.lengths_s
+            config.windows.lengths_s,
+            folders::who()
         )
     }) else {
         return report.finish();
@@ -63,15 +88,20 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         let station = Station::with(source, frame, line);
         report.line("measurement", measure(station, config.interval()), String::clone);
     }
+    report.line("spool", folders::spool(&config), String::clone);
+    if let Some(metrics) = folders::metrics(&config) {
+        report.line("metrics", metrics, String::clone);
+    }
     let connected = broker(&config).and_then(|settings| {
-        publish::probe(&settings).map_err(|reason| Failure::Broker {
+        publish::probe(&settings, &config.window_lengths()).map_err(|reason| Failure::Broker {
             host: settings.host.clone(),
             port: settings.port,
             reason,
         })
     });
-    report.line("broker", connected, |()| {
-        format!("{}:{}, topics under {}", config.mqtt.host, config.mqtt.port, config.root_topic())
+    report.line("broker", connected, |said| {
+        let (host, port) = (&config.mqtt.host, config.mqtt.port);
+        format!("{host}:{port}, topics under {}: {said}", config.root_topic())
     });
     report.finish()
 }

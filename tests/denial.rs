@@ -1,0 +1,299 @@
+//! Brokers that deny, misbehave or are set up in another way than the box expects: no window is
+//! lost without a word, none waits behind something else, and nobody is flooded with connections.
+//! What they are called in words is `tests/broker_words.rs`'s.
+
+mod common;
+#[path = "common/fake_broker.rs"]
+mod fake_broker;
+
+use fake_broker::{FakeBroker, Manners};
+use std::time::{Duration, Instant};
+use verge::daemon::outlet::Outlet;
+use verge::daemon::publish::home_assistant::Announcement;
+use verge::daemon::publish::{Format, Identity, MqttSettings, MqttVersion};
+use verge::density::WindowReport;
+use verge::lane::Name;
+use verge::sensor::ClosedWindow;
+use verge::units::UtcMs;
+use verge::wire::{CalibrationRef, ModelRef};
+
+const PATIENCE: Duration = Duration::from_secs(40);
+/// The longest wait before a fourth connection, and a little more.
+const LAST_WAIT: Duration = Duration::from_secs(5);
+
+fn outlet(broker: &FakeBroker) -> Outlet {
+    outlet_with(MqttSettings {
+        version: MqttVersion::Auto,
+        ..MqttSettings::local(broker.port, "verge/deny")
+    })
+}
+
+fn outlet_with(settings: MqttSettings) -> Outlet {
+    let name = |text| Name::try_from(text).expect("short");
+    let identity = Identity::new("deny", &ModelRef { name: name("m"), sha256: [7; 32] });
+    Outlet::in_memory(settings, Format::Json, identity)
+}
+
+fn accept(outlet: &mut Outlet, minute: i64) {
+    let (from, to) = (UtcMs((minute - 1) * 60_000), UtcMs(minute * 60_000));
+    let report = WindowReport { from, to, lanes: Default::default() };
+    let id = Name::try_from("c").expect("short");
+    let calibration = &CalibrationRef { id, sha256: [8; 32], rel_err: None };
+    outlet.density(ClosedWindow { report: &report, calibration }, true);
+}
+
+/// A message that is kept until a broker has it, as those for Home Assistant are.
+fn state(outlet: &Outlet, topic: &str) {
+    let payload = b"{}".to_vec();
+    outlet.publisher().announce(Announcement { topic: topic.to_owned(), payload });
+}
+
+fn tend(outlet: &mut Outlet, what: &str, done: impl Fn(&Outlet) -> bool) {
+    let until = Instant::now() + PATIENCE;
+    while !done(outlet) {
+        assert!(Instant::now() < until, "{what}: {:?}", outlet.counts());
+        outlet.tend();
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+fn tend_for(outlet: &mut Outlet, time: Duration) {
+    let until = Instant::now() + time;
+    tend(outlet, "", |_| Instant::now() >= until);
+}
+
+/// A window, given before the session and after it, arrives.
+fn delivers(broker: &FakeBroker) -> Outlet {
+    let mut outlet = outlet(broker);
+    accept(&mut outlet, 1);
+    tend(&mut outlet, "an arrear", |outlet| outlet.counts().waiting == 0);
+    accept(&mut outlet, 2);
+    tend(&mut outlet, "a live window", |outlet| outlet.counts().waiting == 0);
+    assert_eq!(broker.windows(), 2);
+    outlet
+}
+
+fn versions(broker: &FakeBroker) -> Vec<u8> {
+    broker.seen(|seen| seen.connects.iter().map(|&(_, version)| version).collect())
+}
+
+#[test]
+fn version_5_is_spoken_first_and_3_where_it_must() {
+    let broker = FakeBroker::start(Manners::default());
+    let _outlet = delivers(&broker);
+    assert_eq!(versions(&broker), [5]);
+    let broker = FakeBroker::start(Manners { versions: vec![4], ..Manners::default() });
+    let _outlet = delivers(&broker);
+    assert_eq!(versions(&broker), [5, 4]);
+    let mute = Manners { versions: vec![4], mute: true, ..Manners::default() };
+    let broker = FakeBroker::start(mute);
+    let _outlet = delivers(&broker);
+    assert_eq!(versions(&broker), [5, 4]);
+}
+
+#[test]
+fn a_broker_that_retains_nothing_gets_windows_all_the_same() {
+    for versions in [vec![5], vec![4]] {
+        let manners = Manners { versions, keeps_nothing: true, ..Manners::default() };
+        let broker = FakeBroker::start(manners);
+        let _outlet = delivers(&broker);
+        assert!(broker.connections() <= 4);
+    }
+}
+
+#[test]
+fn a_window_that_nobody_subscribes_to_stays() {
+    // MQTT 5, 3.4.2.1: no matching subscribers.
+    let unheard = Manners { reason: Some(("density/", 0x10)), ..Manners::default() };
+    let broker = FakeBroker::start(unheard);
+    let mut outlet = outlet(&broker);
+    tend(&mut outlet, "a session", Outlet::is_open);
+    (1..=3).for_each(|n| accept(&mut outlet, n));
+    tend_for(&mut outlet, Duration::from_secs(2));
+    assert_eq!((outlet.counts().waiting, broker.windows()), (3, 0));
+    assert!(outlet.is_open(), "the session goes on");
+    let tried = |seen: &fake_broker::Seen| seen.came.iter().filter(|t| t.contains("dens")).count();
+    assert!(broker.seen(tried) <= 3, "it is not tried over and over");
+    // Somebody subscribes: they come without a new session.
+    broker.change(Manners::default());
+    tend(&mut outlet, "delivery", |outlet| outlet.counts().waiting == 0);
+    assert_eq!((broker.windows(), broker.connections()), (3, 1));
+}
+
+#[test]
+fn a_window_that_is_acknowledged_and_thrown_away_stays() {
+    let drops = Manners { versions: vec![4], drops: Some("density/"), ..Manners::default() };
+    let broker = FakeBroker::start(drops);
+    let mut outlet = outlet(&broker);
+    tend(&mut outlet, "a session", Outlet::is_open);
+    accept(&mut outlet, 1);
+    tend(&mut outlet, "the verdict", |outlet| outlet.publisher().counts().1 > 0);
+    assert_eq!(outlet.counts().waiting, 1);
+    // The list is mended.
+    broker.change(Manners { versions: vec![4], ..Manners::default() });
+    tend(&mut outlet, "delivery", |outlet| outlet.counts().waiting == 0);
+    assert_eq!(broker.windows(), 1);
+}
+
+#[test]
+fn who_may_not_read_is_believed_with_3_1_1() {
+    let deaf = Manners { versions: vec![4], deaf: true, ..Manners::default() };
+    let broker = FakeBroker::start(deaf);
+    let _outlet = delivers(&broker);
+}
+
+#[test]
+fn a_topic_on_which_the_broker_closes_is_set_aside_and_the_others_pass() {
+    for part in ["density/", "homeassistant", "alarm"] {
+        let broker = FakeBroker::start(Manners { closes_on: Some(part), ..Manners::default() });
+        let mut outlet = outlet(&broker);
+        state(&outlet, "homeassistant/x/config");
+        state(&outlet, "verge/deny/alarm/a");
+        state(&outlet, "verge/deny/health");
+        accept(&mut outlet, 1);
+        let others = |outlet: &Outlet| {
+            outlet.is_open()
+                && broker.seen(|seen| {
+                    let took = |topic| seen.taken.iter().any(|(t, _)| t.contains(topic));
+                    ["density/", "homeassistant", "alarm", "health"]
+                        .iter()
+                        .all(|&topic| topic == part || took(topic))
+                })
+        };
+        tend(&mut outlet, part, others);
+        let settled = |outlet: &Outlet| outlet.is_open() && broker.quiet_for() > LAST_WAIT;
+        tend(&mut outlet, part, settled);
+        assert!(broker.connections() <= 5, "{part}: {}", broker.connections());
+        assert_eq!(outlet.counts().waiting, u64::from(part == "density/"));
+        // And there it stays.
+        let connections = broker.connections();
+        accept(&mut outlet, 2);
+        tend_for(&mut outlet, Duration::from_secs(2));
+        assert_eq!(broker.connections(), connections, "{part}");
+    }
+}
+
+#[test]
+fn what_is_too_large_is_set_aside_and_the_rest_passes() {
+    // A maximum packet size of 200 bytes, said and not said.
+    let said = Manners { properties: vec![0x27, 0, 0, 0, 200], ..Manners::default() };
+    let mute = Manners { versions: vec![4], closes_from: Some(200), ..Manners::default() };
+    for (manners, most) in [(said, 1), (mute, 5)] {
+        let broker = FakeBroker::start(manners);
+        let mut outlet = outlet(&broker);
+        accept(&mut outlet, 1);
+        state(&outlet, "verge/deny/health");
+        let passed = |outlet: &Outlet| {
+            outlet.is_open()
+                && broker.seen(|seen| seen.taken.iter().any(|t| t.0.contains("health")))
+        };
+        tend(&mut outlet, "health", passed);
+        tend_for(&mut outlet, Duration::from_secs(2));
+        assert!(outlet.is_open() && broker.connections() <= most, "{}", broker.connections());
+        assert_eq!(outlet.counts().waiting, 1, "it waits for a larger limit");
+    }
+}
+
+#[test]
+fn a_broker_that_acknowledges_nothing_is_left() {
+    let broker = FakeBroker::start(Manners { ignores: Some("density/"), ..Manners::default() });
+    let keep_alive = Duration::from_secs(1);
+    let settings = MqttSettings { keep_alive, ..MqttSettings::local(broker.port, "verge/deny") };
+    let mut outlet = outlet_with(settings);
+    accept(&mut outlet, 1);
+    tend(&mut outlet, "another connection", |_| broker.connections() > 1);
+    assert_eq!(outlet.counts().waiting, 1);
+    // It comes to itself.
+    broker.change(Manners::default());
+    tend(&mut outlet, "delivery", |outlet| outlet.counts().waiting == 0);
+}
+
+/// Resident memory of this program, MB.
+fn resident_mb() -> usize {
+    let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).expect("a line");
+    line.split_whitespace().nth(1).and_then(|kb| kb.parse::<usize>().ok()).expect("a number") / 1024
+}
+
+#[test]
+fn floods_of_version_5_take_no_memory() {
+    let alias = |n: u8| [&b"\x30\x20\x00\x01t\x03\x23\x00"[..], &[n], &[b'x'; 23]].concat();
+    let floods = [
+        b"\x20\x03\x00\x00\x00".to_vec(),
+        (1..=200).flat_map(alias).collect(),
+        [&b"\x30\x80\x08\x00\x01t\x00"[..], &[b'x'; 1020]].concat(),
+        b"\xd0\x00".to_vec(),
+        b"\x40\x02\x00\x63".to_vec(),
+    ];
+    for (index, flood) in floods.into_iter().enumerate() {
+        let broker = FakeBroker::start(Manners { flood: Some(flood), ..Manners::default() });
+        let mut outlet = outlet(&broker);
+        tend(&mut outlet, "a connection", |_| broker.connections() > 0);
+        let before = resident_mb();
+        tend_for(&mut outlet, Duration::from_millis(1500));
+        let after = resident_mb();
+        assert!(after < before + 16, "flood {index}: {before} MB, then {after} MB");
+        // Whoever floods and still takes windows gets them; who breaks the protocol is left.
+        assert!(broker.connections() <= 5, "flood {index}: {}", broker.connections());
+    }
+}
+
+#[test]
+fn a_second_client_of_the_same_id_is_given_way() {
+    // MQTT 5, 3.14.2.1: session taken over.
+    let flood = Some(b"\xe0\x02\x8e\x00".to_vec());
+    let broker = FakeBroker::start(Manners { flood, ..Manners::default() });
+    let mut outlet = outlet(&broker);
+    tend(&mut outlet, "a connection", |_| broker.connections() > 0);
+    tend_for(&mut outlet, Duration::from_secs(4));
+    assert_eq!(broker.connections(), 1);
+    // 3.1.1 has no words for it: sessions that end early again and again.
+    let ends = Manners { versions: vec![4], ends_after: Some(1), ..Manners::default() };
+    let broker = FakeBroker::start(ends);
+    let mut outlet = self::outlet(&broker);
+    let begun = Instant::now();
+    let mut minute = 0;
+    while begun.elapsed() < Duration::from_secs(6) {
+        minute += 1;
+        accept(&mut outlet, minute);
+        tend_for(&mut outlet, Duration::from_millis(300));
+    }
+    assert!(broker.connections() <= 10, "{}", broker.connections());
+    assert!(broker.windows() > 0, "windows pass meanwhile");
+}
+
+#[test]
+fn a_refusal_of_any_kind_sees_at_most_twelve_connections_in_two_minutes() {
+    // Two minutes by the clock: what follows from them is `backoff`'s own test.
+    if std::env::var_os("VERGE_LONG").is_none() {
+        return;
+    }
+    let kinds = [
+        Manners { refuses: Some(5), ..Manners::default() },
+        Manners { refuses: Some(0x87), versions: vec![5], ..Manners::default() },
+        Manners { versions: vec![9], ..Manners::default() },
+        Manners { versions: vec![9], mute: true, ..Manners::default() },
+        Manners { closes_on: Some("presence"), ..Manners::default() },
+        Manners { closes_on: Some("density/"), ..Manners::default() },
+        Manners { closes_on: Some("homeassistant"), ..Manners::default() },
+        Manners { ends_after: Some(1), ..Manners::default() },
+        Manners { flood: Some(b"\xe0\x02\x8e\x00".to_vec()), ..Manners::default() },
+        Manners { closes_from: Some(100), ..Manners::default() },
+    ];
+    let brokers: Vec<_> = kinds.into_iter().map(FakeBroker::start).collect();
+    let mut outlets: Vec<_> = brokers.iter().map(outlet).collect();
+    let begun = Instant::now();
+    for second in 0..120 {
+        for outlet in &mut outlets {
+            accept(outlet, second);
+            state(outlet, "homeassistant/x/config");
+            while begun.elapsed() < Duration::from_secs(second.unsigned_abs()) {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            outlet.tend();
+        }
+    }
+    let counts: Vec<_> = brokers.iter().map(FakeBroker::connections).collect();
+    println!("connections in two minutes: {counts:?}");
+    assert!(counts.iter().all(|&count| count <= 12), "{counts:?}");
+}

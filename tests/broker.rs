@@ -115,6 +115,7 @@ fn health() -> payload::Health {
             last_fault: None,
         },
         stage_faults: 0,
+        certificate_days: Some(300),
         last_fault: None,
     }
 }

@@ -7,6 +7,7 @@ mod common;
 mod fake_broker;
 
 use fake_broker::{FakeBroker, Manners};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use verge::daemon::outlet::Outlet;
 use verge::daemon::publish::home_assistant::Announcement;
@@ -129,8 +130,9 @@ fn a_window_that_is_acknowledged_and_thrown_away_stays() {
     accept(&mut outlet, 1);
     tend(&mut outlet, "the verdict", |outlet| outlet.publisher().counts().1 > 0);
     assert_eq!(outlet.counts().waiting, 1);
-    // The list is mended.
+    // The list is mended, and a new session has a new try.
     broker.change(Manners { versions: vec![4], ..Manners::default() });
+    broker.hang_up();
     tend(&mut outlet, "delivery", |outlet| outlet.counts().waiting == 0);
     assert_eq!(broker.windows(), 1);
 }
@@ -144,33 +146,39 @@ fn who_may_not_read_is_believed_with_3_1_1() {
 
 #[test]
 fn a_topic_on_which_the_broker_closes_is_set_aside_and_the_others_pass() {
-    for part in ["density/", "homeassistant", "alarm"] {
-        let broker = FakeBroker::start(Manners { closes_on: Some(part), ..Manners::default() });
-        let mut outlet = outlet(&broker);
-        state(&outlet, "homeassistant/x/config");
-        state(&outlet, "verge/deny/alarm/a");
-        state(&outlet, "verge/deny/health");
-        accept(&mut outlet, 1);
-        let others = |outlet: &Outlet| {
-            outlet.is_open()
-                && broker.seen(|seen| {
-                    let took = |topic| seen.taken.iter().any(|(t, _)| t.contains(topic));
-                    ["density/", "homeassistant", "alarm", "health"]
-                        .iter()
-                        .all(|&topic| topic == part || took(topic))
-                })
-        };
-        tend(&mut outlet, part, others);
-        let settled = |outlet: &Outlet| outlet.is_open() && broker.quiet_for() > LAST_WAIT;
-        tend(&mut outlet, part, settled);
-        assert!(broker.connections() <= 5, "{part}: {}", broker.connections());
-        assert_eq!(outlet.counts().waiting, u64::from(part == "density/"));
-        // And there it stays.
-        let connections = broker.connections();
-        accept(&mut outlet, 2);
-        tend_for(&mut outlet, Duration::from_secs(2));
-        assert_eq!(broker.connections(), connections, "{part}");
-    }
+    std::thread::scope(|scope| {
+        for part in ["density/", "homeassistant", "alarm"] {
+            scope.spawn(move || closes_on(part));
+        }
+    });
+}
+
+fn closes_on(part: &'static str) {
+    let broker = FakeBroker::start(Manners { closes_on: Some(part), ..Manners::default() });
+    let mut outlet = outlet(&broker);
+    state(&outlet, "homeassistant/x/config");
+    state(&outlet, "verge/deny/alarm/a");
+    state(&outlet, "verge/deny/health");
+    accept(&mut outlet, 1);
+    let others = |outlet: &Outlet| {
+        outlet.is_open()
+            && broker.seen(|seen| {
+                let took = |topic| seen.taken.iter().any(|(t, _)| t.contains(topic));
+                ["density/", "homeassistant", "alarm", "health"]
+                    .iter()
+                    .all(|&topic| topic == part || took(topic))
+            })
+    };
+    tend(&mut outlet, part, others);
+    let settled = |outlet: &Outlet| outlet.is_open() && broker.quiet_for() > LAST_WAIT;
+    tend(&mut outlet, part, settled);
+    assert!(broker.connections() <= 5, "{part}: {}", broker.connections());
+    assert_eq!(outlet.counts().waiting, u64::from(part == "density/"));
+    // And there it stays; a live window has a topic of its own, which costs its own.
+    let most = broker.connections() + usize::from(part == "density/");
+    accept(&mut outlet, 2);
+    tend_for(&mut outlet, Duration::from_secs(2));
+    assert!(broker.connections() <= most, "{part}: {}", broker.connections());
 }
 
 #[test]
@@ -178,20 +186,25 @@ fn what_is_too_large_is_set_aside_and_the_rest_passes() {
     // A maximum packet size of 200 bytes, said and not said.
     let said = Manners { properties: vec![0x27, 0, 0, 0, 200], ..Manners::default() };
     let mute = Manners { versions: vec![4], closes_from: Some(200), ..Manners::default() };
-    for (manners, most) in [(said, 1), (mute, 5)] {
-        let broker = FakeBroker::start(manners);
-        let mut outlet = outlet(&broker);
-        accept(&mut outlet, 1);
-        state(&outlet, "verge/deny/health");
-        let passed = |outlet: &Outlet| {
-            outlet.is_open()
-                && broker.seen(|seen| seen.taken.iter().any(|t| t.0.contains("health")))
-        };
-        tend(&mut outlet, "health", passed);
-        tend_for(&mut outlet, Duration::from_secs(2));
-        assert!(outlet.is_open() && broker.connections() <= most, "{}", broker.connections());
-        assert_eq!(outlet.counts().waiting, 1, "it waits for a larger limit");
-    }
+    std::thread::scope(|scope| {
+        scope.spawn(|| sets_aside_by_size(said, 1));
+        scope.spawn(|| sets_aside_by_size(mute, 5));
+    });
+}
+
+fn sets_aside_by_size(manners: Manners, most: usize) {
+    let broker = FakeBroker::start(manners);
+    let mut outlet = outlet(&broker);
+    accept(&mut outlet, 1);
+    state(&outlet, "verge/deny/health");
+    let passed = |outlet: &Outlet| {
+        outlet.is_open() && broker.seen(|seen| seen.taken.iter().any(|t| t.0.contains("health")))
+    };
+    tend(&mut outlet, "health", passed);
+    let settled = |outlet: &Outlet| outlet.is_open() && broker.quiet_for() > LAST_WAIT;
+    tend(&mut outlet, "a session that stays", settled);
+    assert!(outlet.is_open() && broker.connections() <= most, "{}", broker.connections());
+    assert_eq!(outlet.counts().waiting, 1, "it waits for a larger limit");
 }
 
 #[test]
@@ -260,6 +273,56 @@ fn a_second_client_of_the_same_id_is_given_way() {
     }
     assert!(broker.connections() <= 10, "{}", broker.connections());
     assert!(broker.windows() > 0, "windows pass meanwhile");
+}
+
+/// Presence messages that a broker has taken.
+fn greetings(broker: &FakeBroker) -> usize {
+    broker.seen(|seen| seen.taken.iter().filter(|(topic, _)| topic.ends_with("presence")).count())
+}
+
+#[test]
+fn descriptors_that_run_out_do_not_end_publishing() {
+    let (broker, folder) = (FakeBroker::start(Manners::default()), common::folder());
+    let here = std::env::current_dir().expect("a working directory");
+    let here = here.display();
+    let text = format!(
+        "site = \"deny\"\n[camera]\nid = \"curve\"\ninterval_s = 60\nwatch = false\n\
+         source = \"{here}/{}\"\n[model]\nfile = \"{here}/{}\"\n[lane_table]\nfile = \"{here}/{}\"\n\
+         [windows]\nlengths_s = [60]\n[mqtt]\nport = {}\n",
+        common::STREET_FRAMES,
+        common::MODEL,
+        common::STREET_TABLE,
+        broker.port
+    );
+    let path = folder.path().join("verge.toml");
+    std::fs::write(&path, text).expect("written");
+    let mut daemon = Command::new(env!("CARGO_BIN_EXE_verge"))
+        .args(["run", "--config", path.to_str().expect("UTF-8")])
+        .stderr(Stdio::null())
+        .spawn()
+        .map(common::mosquitto::Running)
+        .expect("it starts");
+    let wait = |what: &str, done: &dyn Fn() -> bool| {
+        let until = Instant::now() + PATIENCE;
+        while !done() {
+            assert!(Instant::now() < until, "{what}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    wait("a session", &|| greetings(&broker) > 0);
+    let limit = |soft: &str| {
+        let id = daemon.0.id().to_string();
+        Command::new("prlimit").args(["--pid", &id, &format!("--nofile={soft}:")]).status()
+    };
+    if !limit("4").is_ok_and(|status| status.success()) {
+        return common::skip("there is no prlimit");
+    }
+    broker.hang_up();
+    std::thread::sleep(Duration::from_secs(3));
+    let before = greetings(&broker);
+    assert!(limit("1024").expect("it ran").success());
+    wait("a new session", &|| greetings(&broker) > before);
+    assert!(daemon.0.try_wait().expect("ours").is_none(), "the process goes on");
 }
 
 #[test]

@@ -24,11 +24,13 @@ pub enum Alarm {
     Overheated,
     /// A part of the board does not work.
     BoardFault,
+    /// A certificate that is in use ends within 14 days, or has.
+    CertificateExpires,
 }
 
 impl Alarm {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::NoPicture,
         Self::FrozenPicture,
         Self::BlankPicture,
@@ -37,6 +39,7 @@ impl Alarm {
         Self::CameraMoved,
         Self::Overheated,
         Self::BoardFault,
+        Self::CertificateExpires,
     ];
 
     /// Its name in topics and messages.
@@ -50,6 +53,7 @@ impl Alarm {
             Self::CameraMoved => "camera_moved",
             Self::Overheated => "overheated",
             Self::BoardFault => "board_fault",
+            Self::CertificateExpires => "certificate_expires",
         }
     }
 }

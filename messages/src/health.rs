@@ -43,6 +43,11 @@ pub struct Health {
     pub board: Board,
     /// Faults of the program that the line survived since start.
     pub stage_faults: u64,
+    /// Whole days until the first certificate that is in use ends, negative when it has; null
+    /// where none is known.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(range(min = -100_000, max = 1_000_000)))]
+    pub certificate_days: Option<i64>,
     /// The latest fault, for people; null while all is well.
     pub last_fault: Option<String>,
 }

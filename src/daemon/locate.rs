@@ -4,10 +4,10 @@
 //! count.
 
 use super::frame::{Detection, PixelBox, Shape};
+use super::plain;
 use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
 use crate::scene::{MAX_REFERENCE, Reference};
 use crate::units::{ImagePoint, ImageSize, VehicleClass};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Largest table file that is read, bytes: the largest table, with room for its header.
@@ -119,9 +119,7 @@ impl Locator {
     /// [`LocateError`] says what is wrong with the file.
     pub fn load(path: &Path, camera: Option<&str>, anchor: Anchor) -> Result<Self, LocateError> {
         let read = |source| LocateError::Read { path: path.to_owned(), source };
-        let mut bytes = Vec::new();
-        let file = std::fs::File::open(path).map_err(read)?;
-        file.take(MAX_TABLE_BYTES).read_to_end(&mut bytes).map_err(read)?;
+        let bytes = plain::read(path, MAX_TABLE_BYTES).map_err(read)?;
         let table = LaneTable::parse(bytes)
             .map_err(|source| LocateError::Table { path: path.to_owned(), source })?;
         let found = table.description().camera_id.as_str();

@@ -100,6 +100,11 @@ impl Metrics {
         }
         text.family("verge_messages_delivered_total", "counter", "Messages the broker took.");
         text.sample(&[], messages.delivered);
+        if let Some(days) = health.certificate_days {
+            let help = "Days until the first certificate in use ends.";
+            text.family("verge_certificate_days", "gauge", help);
+            text.sample(&[], days);
+        }
         text.family("verge_messages_dropped_total", "counter", "Windows lost for want of room.");
         text.sample(&[], messages.dropped);
         text.family("verge_messages_refused_total", "counter", "Messages the broker refused.");
@@ -266,6 +271,7 @@ mod tests {
             },
             stage_faults: 0,
             messages: Messages { delivered: 4, waiting: 5, dropped: 6, ..Messages::default() },
+            certificate_days: Some(300),
             last_fault: None,
         }
     }

@@ -4,6 +4,7 @@
 //! fingerprint. A certificate that stands in the file itself, or whose fingerprint is pinned, is
 //! taken as it is: cameras make their own, for no name and long expired.
 
+use super::certificate::End;
 use rustls::client::WebPkiServerVerifier;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::CryptoProvider;
@@ -84,7 +85,7 @@ impl Trust {
     /// What TLS cannot be done with.
     pub fn config(&self) -> Result<ClientConfig, Error> {
         let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let verifier = self.verifier(Peer::Camera, &provider)?;
+        let verifier = self.verifier(Peer::Camera, &provider, End::default())?;
         Ok(ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()?
             .dangerous()
@@ -92,7 +93,7 @@ impl Trust {
             .with_no_client_auth())
     }
 
-    /// What judges a certificate, and finds words for it.
+    /// What judges a certificate, finds words for it, and notes the end of one that is taken.
     ///
     /// # Errors
     /// What TLS cannot be done with.
@@ -100,8 +101,9 @@ impl Trust {
         &self,
         peer: Peer,
         provider: &Arc<CryptoProvider>,
+        end: End,
     ) -> Result<Arc<dyn ServerCertVerifier>, Error> {
-        Ok(Arc::new(Verifier::new(self, peer, provider)?))
+        Ok(Arc::new(Verifier { end, ..Verifier::new(self, peer, provider)? }))
     }
 }
 
@@ -109,6 +111,7 @@ impl Trust {
 struct Verifier {
     trust: Trust,
     peer: Peer,
+    end: End,
     authorities: Option<Arc<WebPkiServerVerifier>>,
     provider: Arc<CryptoProvider>,
 }
@@ -132,7 +135,7 @@ impl Verifier {
                 WebPkiServerVerifier::builder_with_provider(roots.into(), provider.clone());
             Some(builder.build().map_err(|error| Error::General(error.to_string()))?)
         };
-        Ok(Self { trust: trust.clone(), peer, authorities, provider })
+        Ok(Self { trust: trust.clone(), peer, end: End::default(), authorities, provider })
     }
 
     /// Whether this very certificate is trusted.
@@ -156,6 +159,7 @@ impl ServerCertVerifier for Verifier {
         ocsp: &[u8],
         now: UnixTime,
     ) -> Result<ServerCertVerified, Error> {
+        self.end.note(certificate);
         if self.is_pinned(certificate) {
             return Ok(ServerCertVerified::assertion());
         }

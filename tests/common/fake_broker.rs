@@ -54,6 +54,7 @@ pub struct FakeBroker {
     pub port: u16,
     manners: Arc<Mutex<Manners>>,
     seen: Arc<Mutex<Seen>>,
+    open: Arc<Mutex<Vec<TcpStream>>>,
 }
 
 impl FakeBroker {
@@ -63,16 +64,19 @@ impl FakeBroker {
         let manners = Arc::new(Mutex::new(manners));
         let seen = Arc::new(Mutex::new(Seen::default()));
         let (shared, noted) = (Arc::clone(&manners), Arc::clone(&seen));
+        let open = Arc::new(Mutex::new(Vec::new()));
+        let sockets = Arc::clone(&open);
         std::thread::spawn(move || {
             for stream in listener.incoming().map_while(Result::ok) {
                 let (shared, noted) = (Arc::clone(&shared), Arc::clone(&noted));
+                sockets.lock().expect("unpoisoned").extend(stream.try_clone());
                 std::thread::spawn(move || {
                     let _ = serve(&stream, &shared, &noted);
                     let _ = stream.shutdown(Shutdown::Both);
                 });
             }
         });
-        Self { port, manners, seen }
+        Self { port, manners, seen, open }
     }
 
     /// From the next packet on it behaves thus.
@@ -86,6 +90,13 @@ impl FakeBroker {
 
     pub fn connections(&self) -> usize {
         self.seen(|seen| seen.connects.len())
+    }
+
+    /// Closes all connections.
+    pub fn hang_up(&self) {
+        for stream in self.open.lock().expect("unpoisoned").drain(..) {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
     }
 
     /// Time since the latest connection.

@@ -6,6 +6,7 @@
 mod check;
 mod secrets;
 mod sections;
+mod signed;
 
 pub use sections::{
     Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Traffic,
@@ -18,6 +19,7 @@ use crate::daemon::serial::SerialSettings;
 use crate::daemon::trust::Trust;
 use secrets::{private, secret};
 use serde::Deserialize;
+use signed::Trusted;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -48,6 +50,14 @@ pub enum ConfigError {
         /// Which key.
         key: &'static str,
         /// What is wrong, and what would be right.
+        reason: String,
+    },
+    /// A file that is not as it was signed.
+    #[error("signature of {}: {reason}", path.display())]
+    Signature {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
         reason: String,
     },
     /// The camera's keys.
@@ -121,6 +131,10 @@ impl Config {
                 reason: format!("mode {mode:03o} lets everybody write it: chmod o-w"),
             });
         }
+        let trusted = Trusted::from_environment()?;
+        if let Some(trusted) = &trusted {
+            trusted.check(path, text.as_bytes())?;
+        }
         let mut config: Self = toml::from_str(&text).map_err(|error| ConfigError::Parse {
             path: path.to_owned(),
             reason: veiled(error.to_string().trim_end()),
@@ -131,6 +145,14 @@ impl Config {
             reason,
         })?;
         config.resolve(path.parent().unwrap_or(Path::new("")));
+        if let Some(trusted) = trusted {
+            // The sidecar holds the digest of its net.
+            trusted.check_file(&config.model.file.with_extension("toml"))?;
+            let tables = &config.lane_table;
+            for table in std::iter::once(&tables.file).chain(&tables.presets) {
+                trusted.check_file(table)?;
+            }
+        }
         Ok(config)
     }
 

@@ -23,6 +23,7 @@ pub use inspect::{Inspection, inspect};
 pub use sidecar::{Sidecar, SidecarError, Step};
 
 use super::frame::{Detection, Picture, Region};
+use super::plain;
 use crate::lane::Name;
 use crate::wire::{ModelRef, hex};
 use engine::Engine;
@@ -37,6 +38,8 @@ use std::path::{Path, PathBuf};
 /// Most boxes of one picture that reach non-maximum suppression, best first: eight lanes
 /// of 100 m at jam density, with ten cells firing on each vehicle, stay below.
 pub const MAX_CANDIDATES: usize = 1024;
+/// Largest model file, bytes: thirty times the one that ships.
+const MOST_MODEL: u64 = 256 << 20;
 
 /// Why a model cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -172,7 +175,7 @@ impl Detector {
     pub fn load_as(path: &Path, options: &LoadOptions) -> Result<Self, ModelError> {
         let LoadOptions { score, input_px, precision, candidates: all } = *options;
         let (mut sidecar, sidecar_path, path) = Sidecar::find(path)?;
-        let bytes = std::fs::read(&path)
+        let bytes = plain::read(&path, MOST_MODEL)
             .map_err(|source| ModelError::Read { path: path.clone(), source })?;
         let sha256: [u8; 32] = Sha256::digest(&bytes).into();
         let actual = hex(&sha256).as_str().to_owned();

@@ -3,11 +3,15 @@
 //! Owns its keys, its checks, and the list of models that verge knows without one.
 
 use super::head_key::HeadKey;
+use crate::daemon::plain;
 use crate::density::Counting;
 use crate::evidence::Evidence;
 use crate::units::VehicleClass;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
+
+/// Largest sidecar, bytes.
+const MOST_SIDECAR: u64 = 1 << 20;
 
 /// Sidecars of models that may lie anywhere without a sidecar beside them, found by the
 /// hash of the model file.
@@ -223,7 +227,9 @@ impl Sidecar {
             return Ok((Self::read(&beside)?, beside, path.to_owned()));
         }
         let read = |source| SidecarError::Read { path: path.to_owned(), source };
-        let digest = <sha2::Sha256 as sha2::Digest>::digest(std::fs::read(path).map_err(read)?);
+        let digest = <sha2::Sha256 as sha2::Digest>::digest(
+            plain::read(path, super::MOST_MODEL).map_err(read)?,
+        );
         let hash = crate::wire::hex(&digest.into());
         for (name, text) in KNOWN {
             let sidecar = Self::parse(text, Path::new(name))?;
@@ -254,8 +260,11 @@ impl Sidecar {
     }
 
     fn read(path: &Path) -> Result<Self, SidecarError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| SidecarError::Read { path: path.to_owned(), source })?;
+        let read = |source| SidecarError::Read { path: path.to_owned(), source };
+        let bytes = plain::read(path, MOST_SIDECAR).map_err(read)?;
+        let text = String::from_utf8(bytes).map_err(|_| {
+            read(std::io::Error::new(std::io::ErrorKind::InvalidData, "not UTF-8 text"))
+        })?;
         Self::parse(&text, path)
     }
 

@@ -14,6 +14,7 @@ pub use verge_messages::window_name;
 
 use crate::lane::Name;
 use crate::sensor::ClosedWindow;
+use crate::units::UtcMs;
 use crate::wire::{self, DensityMessage, MAX_MESSAGE, ModelRef};
 use mqtt::{Connection, Message, Report};
 use serde::Deserialize;
@@ -102,6 +103,7 @@ pub struct Publisher {
     live: BTreeSet<u64>,
     arrears: BTreeSet<u64>,
     replay_per_s: f64,
+    tls: Option<Tls>,
     /// Windows of an outage that may be sent now, and since when it is so.
     allowance: (f64, Instant),
 }
@@ -113,6 +115,7 @@ impl Publisher {
             root: settings.root.clone(),
             format,
             replay_per_s: settings.replay_per_s,
+            tls: settings.tls.clone(),
             connection: Connection::start(settings),
             session: None,
             live: BTreeSet::new(),
@@ -127,6 +130,9 @@ impl Publisher {
         self.root = settings.root.clone();
         self.format = format;
         self.replay_per_s = settings.replay_per_s;
+        if self.tls != settings.tls {
+            self.tls = settings.tls.clone();
+        }
         self.connection.change(settings, DRAIN);
     }
 
@@ -223,6 +229,11 @@ impl Publisher {
     /// The open session; each has a number of its own.
     pub fn session(&self) -> Option<u64> {
         self.session
+    }
+
+    /// When the first certificate of the connection ends, where that is known.
+    pub fn certificate_end(&self) -> Option<UtcMs> {
+        self.tls.as_ref()?.first_end()
     }
 
     /// How long the connection's thread has not turned; `None` where it has ended.

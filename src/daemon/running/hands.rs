@@ -4,6 +4,7 @@
 
 use super::report;
 use crate::alarm::Alarm;
+use crate::daemon::certificate;
 use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
@@ -16,6 +17,9 @@ use crate::daemon::publish::payload;
 use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
 use crate::sensor::Action;
 use std::time::Duration;
+
+/// Days before the end of a certificate at which the alarm is raised.
+const EXPIRY_ALARM_DAYS: i64 = 14;
 
 /// Performs actions.
 pub struct Hands {
@@ -32,6 +36,8 @@ pub struct Hands {
     /// Why the latest new configuration was refused.
     refused: Option<String>,
     health_due: bool,
+    /// Whether a certificate ends soon, as it was told.
+    expiry_told: Option<bool>,
     /// Length of the shortest windows, and the largest difference of densities in the latest.
     difference: Option<(Duration, Option<f32>)>,
 }
@@ -49,6 +55,7 @@ impl Hands {
             last_fault: None,
             refused: None,
             health_due: false,
+            expiry_told: None,
             difference: None,
         }
     }
@@ -143,10 +150,39 @@ impl Hands {
         self.last_fault.as_deref().or(self.refused.as_deref())
     }
 
+    /// Days until the first certificate in use ends.
+    pub fn certificate_days(&self) -> Option<i64> {
+        let end = self.outlet.publisher().certificate_end()?;
+        Some(certificate::days_left(end, clock::now()))
+    }
+
+    /// Raises the alarm of a certificate that ends soon, or clears it.
+    fn watch_certificates(&mut self) {
+        let Some(days) = self.certificate_days() else { return };
+        let is_soon = days < EXPIRY_ALARM_DAYS;
+        if self.expiry_told.replace(is_soon) == Some(is_soon) {
+            return;
+        }
+        if is_soon {
+            log::error!(
+                "a certificate of the connection to the broker ends in {days} days: renew it, and \
+                 `systemctl reload verge`"
+            );
+        }
+        self.outlet.publisher().alarm(&payload::AlarmMessage {
+            schema: payload::Schema::default(),
+            site: self.site.clone(),
+            time: clock::now().into(),
+            name: verge_messages::Alarm::CertificateExpires,
+            active: is_soon,
+        });
+    }
+
     /// Hears what the broker has taken and sends what waits. Says to Home Assistant what there
     /// is, after each connection: the broker may have lost what it kept.
     pub fn tend(&mut self) {
         self.outlet.tend();
+        self.watch_certificates();
         let publisher = self.outlet.publisher();
         let session = publisher.session();
         if session.is_some() && session != std::mem::replace(&mut self.announced, session) {

@@ -79,6 +79,7 @@ impl Running {
                 last_fault: board.last_fault().map(str::to_owned),
             },
             stage_faults: self.sensor.stage_faults(),
+            certificate_days: self.hands.certificate_days(),
             last_fault: self.hands.fault().map(str::to_owned),
         };
         outlet.publisher().health(&health);

@@ -138,7 +138,7 @@ mod tests {
                 time += backoff.wait(&mut random, start + time);
             }
             for first in &connections {
-                let within = connections.iter().filter(|at| (*first..*first + SPAN).contains(at));
+                let within = connections.iter().filter(|at| (*first..*first + SPAN).contains(*at));
                 assert!(within.count() <= MOST, "seed {seed}");
             }
             backoff.away();

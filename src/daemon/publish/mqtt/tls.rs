@@ -3,9 +3,11 @@
 //! Owns the files of the configuration that secure the connection, and what is said where that
 //! fails. Which certificate is taken is `trust`'s.
 
-use super::link::End;
+use super::link::End as LinkEnd;
+use crate::daemon::certificate::{End, not_after};
 use crate::daemon::foreign::shown;
 use crate::daemon::trust::{Peer, Trust};
+use crate::units::UtcMs;
 use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{AlertDescription as Alert, ClientConfig, Error};
@@ -54,6 +56,10 @@ pub struct Tls {
     config: Arc<ClientConfig>,
     /// Of the files: a renewed certificate is another.
     digest: [u8; 32],
+    /// Of the certificate that the broker shows.
+    shown: End,
+    /// Of our own, and of the one that vouches for the broker, where it is one.
+    ends: Vec<UtcMs>,
 }
 
 impl PartialEq for Tls {
@@ -74,6 +80,7 @@ impl Tls {
     /// # Errors
     /// [`TlsError`] names the file and what is wrong with it.
     pub fn load(files: &TlsFiles) -> Result<Self, TlsError> {
+        let (shown, mut ends) = (End::default(), Vec::new());
         let unfit = |key, error: Error| TlsError::Unfit { key, reason: error.to_string() };
         let trust = match &files.ca {
             None => Trust::Public,
@@ -85,12 +92,20 @@ impl Tls {
                     expected: "certificates",
                 };
                 let file = std::fs::read(path).map_err(|error| wrong(error.to_string()))?;
-                Trust::certificates(&file).map_err(wrong)?
+                let trust = Trust::certificates(&file).map_err(wrong)?;
+                // Of a bundle most are other people's.
+                if let Trust::Certificates(found) = &trust
+                    && let [only] = found.as_slice()
+                {
+                    ends.extend(not_after(only));
+                }
+                trust
             }
         };
         let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let verifier =
-            trust.verifier(Peer::Broker, &provider).map_err(|error| unfit("ca_file", error))?;
+        let verifier = trust
+            .verifier(Peer::Broker, &provider, shown.clone())
+            .map_err(|error| unfit("ca_file", error))?;
         let config = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
             .map_err(|error| unfit("tls", error))?
@@ -100,6 +115,7 @@ impl Tls {
             None => config.with_no_client_auth(),
             Some((certificate, key)) => {
                 let chain = certificates("mqtt.certificate_file", certificate)?;
+                ends.extend(chain.iter().filter_map(|certificate| not_after(certificate)));
                 let key = PrivateKeyDer::from_pem_file(key)
                     .map_err(|error| unreadable("mqtt.key_file", key, &error, "a private key"))?;
                 config
@@ -107,7 +123,13 @@ impl Tls {
                     .map_err(|error| unfit("certificate_file", error))?
             }
         };
-        Ok(Self { config: Arc::new(config), digest: digest(files) })
+        Ok(Self { config: Arc::new(config), digest: digest(files), shown, ends })
+    }
+
+    /// When the first certificate ends: ours, the one that vouches for the broker, or the
+    /// broker's own, once it has shown it.
+    pub fn first_end(&self) -> Option<UtcMs> {
+        self.ends.iter().copied().chain(self.shown.get()).min()
     }
 
     pub(super) fn config(&self) -> Arc<ClientConfig> {
@@ -116,8 +138,8 @@ impl Tls {
 }
 
 /// What a fault of TLS means, and what to do.
-pub(super) fn end(error: &Error) -> End {
-    End::Unsafe(match error {
+pub(super) fn end(error: &Error) -> LinkEnd {
+    LinkEnd::Unsafe(match error {
         // The words of `trust`.
         Error::General(text) => text.clone(),
         Error::InvalidMessage(_) => {

@@ -399,14 +399,14 @@ impl Worker {
         } else if is_closed && is_early {
             self.early_ends += 1;
         }
-        if taken_over || self.early_ends >= EARLY_ENDS {
+        if taken_over {
             self.backoff.give_way();
-            if !taken_over {
-                reason += &format!(
-                    " again and again: does another client use the client id {:?}?",
-                    self.settings.client_id()
-                );
-            }
+        } else if self.early_ends >= EARLY_ENDS {
+            // A broker that is started again and again looks the same: it is only said.
+            reason += &format!(
+                " again and again: does another client use the client id {:?}?",
+                self.settings.client_id()
+            );
         }
         reason
     }

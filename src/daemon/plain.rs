@@ -1,0 +1,45 @@
+//! Reading a file that someone has named: a plain one, and no larger than it can be.
+//!
+//! Owns that neither a FIFO keeps the program waiting nor a device fills its memory.
+
+use std::io::{self, ErrorKind};
+use std::path::Path;
+
+/// The bytes of a plain file of at most `most` bytes; links are followed.
+///
+/// # Errors
+/// What the system says, or that it is another kind of file, or larger.
+pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let metadata = std::fs::metadata(path)?;
+    if metadata.is_dir() {
+        return Err(ErrorKind::IsADirectory.into());
+    }
+    if !metadata.is_file() {
+        return Err(io::Error::new(ErrorKind::InvalidInput, "it is not a plain file"));
+    }
+    if metadata.len() > most {
+        let reason = format!("it has {} MB, more than any that fits", metadata.len() >> 20);
+        return Err(io::Error::new(ErrorKind::FileTooLarge, reason));
+    }
+    std::fs::read(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neither_devices_nor_fifos_are_read() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = |name: &str| folder.path().join(name);
+        let (mode, kind) = (rustix::fs::Mode::RUSR, rustix::fs::FileType::Fifo);
+        rustix::fs::mknodat(rustix::fs::CWD, path("fifo"), kind, mode, 0).expect("a FIFO");
+        std::os::unix::fs::symlink("/dev/zero", path("zero")).expect("a link");
+        std::fs::File::create(path("sparse")).and_then(|f| f.set_len(4 << 30)).expect("sparse");
+        for name in ["fifo", "zero", "sparse", "none", "."] {
+            assert!(read(&path(name), 1 << 20).is_err(), "{name}");
+        }
+        std::fs::write(path("right"), b"text").expect("written");
+        assert_eq!(read(&path("right"), 4).expect("it fits"), b"text");
+    }
+}

@@ -11,6 +11,7 @@ use std::time::Duration;
 use street::recording::{Recorder, calibration};
 use street::scene::Scene;
 use street::truth::FrameTruth;
+use street::vehicle::Class;
 use verge::daemon::frame::{Detection, PixelBox};
 use verge::daemon::locate::Anchor;
 use verge::daemon::presets::{Presets, TableSettings, WindowSettings};
@@ -50,7 +51,14 @@ fn detections(truth: &FrameTruth) -> Vec<Detection> {
     let detection = |vehicle: &street::truth::VehicleTruth| {
         let [x0, y0, x1, y1] = vehicle.bounds.map(|side| side as f32);
         let bounds = PixelBox { x0, y0, x1, y1 };
-        Detection { bounds, score: 1.0, class: VehicleClass::Vehicle }
+        let class = match vehicle.class {
+            Class::Car => VehicleClass::Car,
+            Class::Van => VehicleClass::Van,
+            Class::Bus => VehicleClass::Bus,
+            Class::Truck => VehicleClass::Truck,
+            Class::Motorcycle => VehicleClass::Motorcycle,
+        };
+        Detection { bounds, score: 1.0, class }
     };
     truth.vehicles.iter().map(detection).collect()
 }
@@ -251,7 +259,7 @@ fn two_minutes(name: &str, scene: &Scene, seed: u64) {
         );
         eprintln!(
             "{name}, {} s, lane {lane}: flow {flow:.0}, speed {speed:.1}, occupancy {occupancy:.3}, \
-             {passed} passed; found {found:.1?}",
+             {passed} passed; found {found:.3?}",
             scene.interval_s
         );
         assert!((found.0 / flow - 1.0).abs() < 0.05, "flow");
@@ -262,13 +270,13 @@ fn two_minutes(name: &str, scene: &Scene, seed: u64) {
             "flow is density times speed"
         );
         assert!((f64::from(found.3) - passed).abs() <= 1.0, "vehicles that passed");
-        assert!((found.2 - occupancy).abs() < 0.05, "occupancy");
+        assert!((found.2 - occupancy).abs() < 0.01, "occupancy");
     }
 }
 
 #[test]
 fn flow_and_speed_are_the_streets_own() {
-    for (traffic, interval_s) in [("free flow", 0.2), ("queue", 0.2), ("stop-and-go", 0.08)] {
+    for (traffic, interval_s) in [("queue", 0.2), ("stop-and-go", 0.08)] {
         let scene = Scene { interval_s, ..curve(traffic) };
         two_minutes(traffic, &scene, 4);
     }

@@ -22,7 +22,8 @@ use verge_tmc::store;
 fn archiver(port: u16, out: &Path, name: &str, more: &[&str]) -> Child {
     Command::new(env!("CARGO_BIN_EXE_verge-tmc"))
         .args(["archive", "--broker", &format!("127.0.0.1:{port}"), "--out", text(out)])
-        .args(["--compact-every", "1", "--name", name])
+        .args(["--name", name])
+        .args(if more.contains(&"--compact-every") { &[][..] } else { &["--compact-every", "1"] })
         .args(more)
         .stderr(Stdio::piped())
         .spawn()
@@ -291,8 +292,9 @@ fn a_flood_of_one_box_takes_bounded_memory_and_delays_no_window_of_others() {
     let (time, minutes) = if is_long { (120, 40) } else { (3, 2) };
     let time = Duration::from_secs(time);
     let sites: Vec<String> = (0..1000).map(|n| format!("box{n}")).collect();
-    let idle = if is_long { "15" } else { "4" };
-    let mut child = archiver(port, root, "verge-tmc-1", &["--until-idle", idle]);
+    let (idle, every) = if is_long { ("15", "10") } else { ("4", "1") };
+    let more = ["--until-idle", idle, "--compact-every", every];
+    let mut child = archiver(port, root, "verge-tmc-1", &more);
     let compactions = count_compactions(&mut child);
     let evil = std::thread::spawn(move || {
         let mut payloads: Vec<_> =

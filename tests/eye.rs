@@ -281,7 +281,12 @@ fn a_check_says_that_a_picture_would_be_withheld() {
         );
         let config_file = path(&format!("{name}.toml"));
         std::fs::write(&config_file, config).expect("writing the configuration");
-        let output = verge(&["check", "--config", config_file.to_str().expect("UTF-8")]);
+        let utf8 = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+        let drawn = path(&format!("{name}.png"));
+        let command = ["check", "--config", &utf8(&config_file), "--overlay", &utf8(&drawn)];
+        let output = verge(&command);
+        let drawing = image::open(&drawn).expect("a picture is drawn whatever is wrong with it");
+        assert_eq!(drawing.width(), 960, "{name}");
         let said = String::from_utf8(output.stdout).expect("UTF-8");
         let line = said.lines().find(|line| line.contains("measurement")).unwrap_or_default();
         // Nothing listens at the broker's port: 69 where that alone has failed.

@@ -38,6 +38,9 @@ enum Command {
         /// given up
         #[arg(long)]
         after_update: bool,
+        /// Also draw the present picture with lanes, boxes, contact points and counts
+        #[arg(long, value_name = "FILE.png")]
+        overlay: Option<PathBuf>,
     },
     /// Measure density in recorded frames
     Replay(commands::replay::Args),
@@ -79,7 +82,9 @@ where
         .init();
     match cli.command {
         Command::Run { config } => commands::run::run(&config, board),
-        Command::Check { config, after_update } => commands::check::run(&config, after_update),
+        Command::Check { config, after_update, overlay } => {
+            commands::check::run(&config, after_update, overlay.as_deref())
+        }
         Command::Replay(args) => commands::replay::run(&args),
         Command::Detect(args) => commands::detect::run(&args),
         #[cfg(feature = "desk")]

@@ -10,6 +10,7 @@ use crate::daemon::address::masked;
 use crate::daemon::assemble::{broker, first_picture, open_line};
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
+use crate::daemon::output::WholeFile;
 use crate::daemon::publish::{self, payload::status_name};
 use crate::daemon::station::Station;
 use crate::health::Event;
@@ -35,11 +36,12 @@ const AFTER_UPDATE: Duration = Duration::from_secs(300);
 /// Time between two tries of it.
 const AGAIN: Duration = Duration::from_secs(10);
 
-pub fn run(path: &Path, after_update: bool) -> Result<(), Failure> {
+/// `overlay` is a PNG to be written: the picture with what was made of it.
+pub fn run(path: &Path, after_update: bool, overlay: Option<&Path>) -> Result<(), Failure> {
     folders::become_the_units_user(path);
     let begun = Instant::now();
     loop {
-        let outcome = once(path);
+        let outcome = once(path, overlay);
         // A configuration that is wrong stays so.
         let may_mend = outcome.as_ref().is_err_and(|failure| failure.exit_code() != CONFIG);
         if !after_update || !may_mend || begun.elapsed() + AGAIN > AFTER_UPDATE {
@@ -50,7 +52,7 @@ pub fn run(path: &Path, after_update: bool) -> Result<(), Failure> {
     }
 }
 
-fn once(path: &Path) -> Result<(), Failure> {
+fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
     let mut report = Report::default();
     let Some(config) = report.line("config", Config::read(path), |config| {
         format!(
@@ -85,8 +87,17 @@ fn once(path: &Path) -> Result<(), Failure> {
         format!("{}: {width}x{height} px{video}", masked(&config.camera.source))
     });
     if let (Some(line), Some((source, frame))) = (line, picture) {
-        let station = Station::with(source, frame, line);
-        report.line("measurement", measure(station, config.interval()), String::clone);
+        let mut station = Station::with(source, frame, line);
+        let measured = measure(&mut station, config.interval());
+        let withheld = match &measured {
+            Err(Failure::Withheld { reason, .. }) => reason,
+            _ => "",
+        };
+        let drawn = overlay.map(|file| draw(&station, withheld, file));
+        report.line("measurement", measured, String::clone);
+        if let Some(drawn) = drawn {
+            report.line("overlay", drawn, String::clone);
+        }
     }
     report.line("spool", folders::spool(&config), String::clone);
     if let Some(metrics) = folders::metrics(&config) {
@@ -107,13 +118,13 @@ fn once(path: &Path) -> Result<(), Failure> {
 }
 
 /// Measures the picture that was taken and another one, and describes what was seen.
-fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> {
+fn measure(station: &mut Station, interval: Duration) -> Result<String, Failure> {
     let measured = |station: &mut Station| station.measure(&mut |_| ()).map(|o| o.event());
-    let first = measured(&mut station)?;
+    let first = measured(station)?;
     let (mut found, mut located) = station.line().latest();
     std::thread::sleep(APART);
     let is_new = station.capture()?;
-    let second = if is_new { measured(&mut station)? } else { Some(Event::Unchanged) };
+    let second = if is_new { measured(station)? } else { Some(Event::Unchanged) };
     let event = match second {
         // A camera may give the same picture until its next is due.
         Some(Event::Unchanged) if interval > LONGEST_WATCHED => first,
@@ -137,6 +148,15 @@ fn measure(mut station: Station, interval: Duration) -> Result<String, Failure> 
             "{found} vehicles found, {located} of them in the lanes; the camera's aim: {aim}"
         )),
     }
+}
+
+/// Draws the latest picture into `file`.
+fn draw(station: &Station, withheld: &str, file: &Path) -> Result<String, Failure> {
+    let drawn = station.line().overlay(station.frame(), withheld)?;
+    let mut whole = WholeFile::create(file)?;
+    whole.bytes(&drawn)?;
+    whole.finish()?;
+    Ok(format!("{}: lanes, boxes, contact points and counts", file.display()))
 }
 
 /// What the running line would make of it.

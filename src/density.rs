@@ -208,7 +208,7 @@ pub struct Aggregator<const W: usize = MAX_WINDOWS> {
     interval: Duration,
     min_completeness: f32,
     start: Start,
-    length_rel_err: Option<f32>,
+    length_rel_err: [Option<f32>; MAX_LANES],
     errors: Errors,
 }
 
@@ -246,7 +246,7 @@ impl<const W: usize> Aggregator<W> {
             return Err(AggregateError::WindowCount(0));
         }
         let (divisions, lanes) = (Division::of_each(lanes, cell_m), lanes.clone());
-        let (length_rel_err, errors) = (None, Errors::default());
+        let (length_rel_err, errors) = ([None; MAX_LANES], Errors::default());
         Ok(Self {
             lanes,
             divisions,
@@ -259,9 +259,10 @@ impl<const W: usize> Aggregator<W> {
         })
     }
 
-    /// From now on reports have an interval from these errors: of the lengths of lanes (one
-    /// standard error, as a part), and of counting. A site's correction multiplies its counts.
-    pub fn set_errors(&mut self, length_rel_err: Option<f32>, errors: Errors) {
+    /// From now on reports have an interval from these errors: of the length of each lane by its
+    /// number (one standard error, as a part), and of counting. A site's correction multiplies its
+    /// counts.
+    pub fn set_errors(&mut self, length_rel_err: [Option<f32>; MAX_LANES], errors: Errors) {
         (self.length_rel_err, self.errors) = (length_rel_err, errors);
     }
 
@@ -422,7 +423,8 @@ impl<const W: usize> Aggregator<W> {
         };
         let n = series.n as f32;
         let length_km = lane.length_m / 1000.0;
-        let length = (length_km, self.length_rel_err);
+        let rel_err = self.length_rel_err.get(usize::from(lane.id.get()) - 1).copied().flatten();
+        let length = (length_km, rel_err);
         let occupied = series.occupied_m * factor / n / lane.length_m;
         LaneReport {
             lane: lane.id,

@@ -100,6 +100,7 @@ fn health() -> payload::Health {
             preset: "joint-01020304".into(),
             shift_px: Some([0.4, -1.2]),
             light: Some(payload::Light::Day),
+            road_age_s: Some(12),
         }),
         traffic: Some(payload::Following {
             longest_interval_s: 0.5,

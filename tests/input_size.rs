@@ -71,3 +71,23 @@ fn a_size_that_is_no_multiple_of_the_strides_is_refused() {
         assert!(error.contains("multiple of 32") && error.contains("px is asked for"), "{error}");
     }
 }
+
+#[test]
+fn a_box_that_is_too_slow_for_its_camera_gets_a_smaller_input() {
+    use std::time::Duration;
+    use verge::daemon::config::NetInput;
+    use verge::daemon::line::{Line, LineSettings};
+    let settings = |input| LineSettings {
+        input,
+        ..LineSettings::recorded(Path::new(common::STREET_TABLE), Path::new(common::MODEL))
+    };
+    let mut line = Line::open(&settings(NetInput::Auto)).expect("it ships");
+    assert_eq!(line.input_size(), [800, 608]);
+    line.keep_within(Duration::from_secs(3600)).expect("the net runs");
+    assert_eq!(line.input_size(), [800, 608], "there is time");
+    line.keep_within(Duration::from_nanos(1)).expect("the net runs");
+    assert_eq!(line.input_size(), [640, 480], "the smallest that the model states");
+    let mut set = Line::open(&settings(NetInput::Px([800, 608]))).expect("it ships");
+    set.keep_within(Duration::from_nanos(1)).expect("the net runs");
+    assert_eq!(set.input_size(), [800, 608], "what is asked for stays");
+}

@@ -18,7 +18,7 @@ SCENES = os.path.join(HERE, "..", "..", "street", "scenes")
 CAMERAS = [("curve", (8, 24), (13, 24), (-10, 8), (300, 460)),
            ("freeway", (7, 16), (9, 18), (-6, 12), (560, 900))]
 LIGHTS = [("day", 0.0), ("day", 0.0), ("dusk", 0.0), ("night", 0.0), ("night", 0.7), ("day", 0.7)]
-FRAMES, INTERVAL_S = 8, 20
+INTERVAL_S = 20
 # Exit code of `street`: the camera sees too little of the road.
 BAD_SCENE = 65
 
@@ -43,6 +43,7 @@ def main():
     args.add_argument("--out", required=True)
     args.add_argument("--recordings", type=int, default=48)
     args.add_argument("--seed", type=int, default=20210320)
+    args.add_argument("--frames", type=int, default=8)
     args = args.parse_args()
     os.makedirs(args.out, exist_ok=True)
     for n in range(args.recordings):
@@ -50,14 +51,14 @@ def main():
         scene = CAMERAS[n % len(CAMERAS)][0]
         out = os.path.join(args.out, f"{scene}_{n:03d}")
         while not os.path.exists(out):
-            record(args.street, out, 1000 + n, *keys(rng, CAMERAS[n % len(CAMERAS)],
+            record(args.street, out, args.frames, 1000 + n, *keys(rng, CAMERAS[n % len(CAMERAS)],
                                                      LIGHTS[n // 2 % len(LIGHTS)]))
 
 
-def record(street, out, seed, scene, chosen):
+def record(street, out, frames, seed, scene, chosen):
     """Leaves nothing where the camera sees too little of the road: another is drawn then."""
     line = [street, "record", "--scene", os.path.join(SCENES, f"{scene}.toml"),
-            "--frames", str(FRAMES), "--seed", str(seed), "--out", out]
+            "--frames", str(frames), "--seed", str(seed), "--out", out]
     for key, value in chosen.items():
         line += ["--set", f"{key}={value}"]
     done = subprocess.run(line, capture_output=True, text=True)

@@ -84,6 +84,9 @@ pub struct Camera {
     pub shift_px: Option<[f32; 2]>,
     /// By the mean level of the latest picture; null before the first.
     pub light: Option<Light>,
+    /// Time since the empty road was last learned in this light, s; null where it never was.
+    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.2")))]
+    pub road_age_s: Option<u64>,
 }
 
 /// Whether the camera looks where it was calibrated.

@@ -137,10 +137,10 @@ pub fn camera(config: &Config, line: Option<&Line>) -> Result<SourceSettings, Fa
     })
 }
 
-/// The line of a configuration.
-pub fn open_line(config: &Config) -> Result<Line, Failure> {
+/// What a configuration's line is built from.
+pub fn line_settings(config: &Config) -> LineSettings {
     let tables = &config.lane_table;
-    let settings = LineSettings {
+    LineSettings {
         tables: TableSettings {
             files: std::iter::once(&tables.file).chain(&tables.presets).cloned().collect(),
             camera: Some(config.camera.id.clone()),
@@ -150,10 +150,14 @@ pub fn open_line(config: &Config) -> Result<Line, Failure> {
         model: config.model.file.clone(),
         score: config.model.score,
         input: config.model.input,
-        site: None,
+        audit: tables.audit.clone(),
         views: config.model.views,
-    };
-    let mut line = Line::open(&settings)?;
+    }
+}
+
+/// The line of a configuration.
+pub fn open_line(config: &Config) -> Result<Line, Failure> {
+    let mut line = Line::open(&line_settings(config))?;
     line.keep_within(config.interval())?;
     if config.traffic.enabled {
         line.follow(config.traffic.top_speed_kmh, config.interval());

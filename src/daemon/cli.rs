@@ -44,6 +44,8 @@ enum Command {
     },
     /// Measure density in recorded frames
     Replay(commands::replay::Args),
+    /// Count a site by eye: choose frames, draw them, and learn from the answers
+    Audit(commands::audit::Args),
     /// Find vehicles in recorded frames, without a lane table
     Detect(commands::detect::Args),
     /// Rewrite published messages for a traffic centre: FIWARE, DATEX II, NTCIP, CSV
@@ -86,6 +88,7 @@ where
             commands::check::run(&config, after_update, overlay.as_deref())
         }
         Command::Replay(args) => commands::replay::run(&args),
+        Command::Audit(args) => commands::audit::run(&args),
         Command::Detect(args) => commands::detect::run(&args),
         #[cfg(feature = "desk")]
         Command::Convert(args) => commands::convert::run(&args),

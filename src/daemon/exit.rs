@@ -3,6 +3,7 @@
 //! Owns the mapping from errors to exit codes (`sysexits.h`), so that a supervisor can tell
 //! a wrong file from a missing one without reading the message.
 
+use super::audit::{AnswersError, FitError, SiteError};
 use super::capture::{CaptureError, DeviceError, RecordingError, SourceError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
@@ -38,6 +39,29 @@ pub enum Failure {
     /// The lane table.
     #[error(transparent)]
     Locate(#[from] LocateError),
+    /// The site's own file.
+    #[error(transparent)]
+    Site(#[from] SiteError),
+    /// What people have counted.
+    #[error(transparent)]
+    Answers(#[from] AnswersError),
+    /// Counts that contradict what is seen, or are too few.
+    #[error("the answers cannot be used: {0}")]
+    Audit(#[from] FitError),
+    /// A frame that was counted and is not there, or cannot be measured.
+    #[error("frame {frame} was counted and {reason}")]
+    CountedFrame {
+        /// Its name.
+        frame: String,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// The model does not say how cameras differ.
+    #[error(
+        "the model says no counting error of its own ([counting] in its sidecar), from which an \
+         audit starts"
+    )]
+    NoCounting,
     /// The certificates.
     #[error(transparent)]
     Tls(#[from] TlsError),
@@ -190,7 +214,10 @@ impl Exit for Failure {
             Self::Model(_) => DATAERR,
             Self::Locate(LocateError::Read { .. }) => NOINPUT,
             Self::Locate(_) | Self::Tls(_) => DATAERR,
-            Self::Input { .. } => NOINPUT,
+            Self::Input { .. } | Self::Site(SiteError::Read { .. }) => NOINPUT,
+            Self::Answers(AnswersError::Read { .. }) => NOINPUT,
+            Self::Site(_) | Self::Answers(_) | Self::Audit(_) => DATAERR,
+            Self::CountedFrame { .. } | Self::NoCounting => DATAERR,
             Self::Messages { .. } | Self::NodeSettings { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
             Self::Write { .. } | Self::Unwritable { .. } | Self::Spool(_) => CANTCREAT,

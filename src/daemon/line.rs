@@ -4,6 +4,7 @@
 //! each other. Pictures come from `station`; what follows from what was counted is decided by
 //! the core's [`crate::sensor`].
 
+use super::audit::{MadeWith, SiteFile};
 use super::clock;
 use super::config::{NetInput, Views};
 use super::detect::regions::{Cars, Parts};
@@ -14,10 +15,11 @@ use super::overlay;
 use super::presets::{Following, Preset, Presets, TableSettings, WindowSettings};
 use super::scene::{Scene, View};
 use super::vehicles::{self, Vehicles};
-use crate::density::{Errors, SiteCorrection};
+use crate::density::{Counting, Errors, FrameCounts};
 use crate::evidence::CarSize;
 use crate::picture::Light;
 use crate::sensor::{self, Outcome};
+use crate::units::ImagePoint;
 use crate::wire::ModelRef;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -25,6 +27,8 @@ use std::time::Duration;
 /// Share of the time between two pictures that the net may take of the processor: the rest is
 /// for the camera, the picture, and what else runs on the box.
 const NET_SHARE: f64 = 0.5;
+/// Share that one pass may take, before the net gets a smaller input.
+const NET_MOST: f64 = 0.8;
 
 /// Whether pictures are judged before they are measured: blank, blurred, unchanged, and whether
 /// the camera has moved.
@@ -57,8 +61,8 @@ pub struct LineSettings {
     pub score: Option<f32>,
     /// Columns and rows of the net's input.
     pub input: NetInput,
-    /// What an audit of the site has found.
-    pub site: Option<SiteCorrection>,
+    /// The site's own file: what an audit has found.
+    pub audit: Option<PathBuf>,
     /// Which parts of a picture are searched.
     pub views: Views,
 }
@@ -72,7 +76,7 @@ impl LineSettings {
             model: model.to_owned(),
             score: None,
             input: NetInput::default(),
-            site: None,
+            audit: None,
             views: Views::default(),
         }
     }
@@ -96,9 +100,22 @@ pub enum Stage {
 /// Is told of each stage when it has ended; the first began with the call.
 pub type Observer<'o> = &'o mut dyn FnMut(Stage);
 
+/// What the search of a picture has given.
+enum Searched {
+    /// Candidates, in a picture of this preset that is shifted by so much.
+    Found { preset: usize, shift: ImagePoint },
+    /// The picture is not measured.
+    Nothing(Outcome<'static>),
+}
+
 /// The line without its ends: from a frame to the vehicles in each lane.
 #[derive(Debug)]
 pub struct Line {
+    /// The model's file, and how it was loaded.
+    file: PathBuf,
+    options: LoadOptions,
+    /// Whether the net's input is what someone asked for.
+    is_input_set: bool,
     detector: Detector,
     scene: Option<Scene>,
     judging: Judging,
@@ -148,9 +165,17 @@ impl Line {
             ..LoadOptions::default()
         };
         let detector = Detector::load_as(&settings.model, &options)?;
-        let least = settings.score.or(settings.site.as_ref().and_then(|site| site.score));
+        let site = settings.audit.as_deref().map(|file| {
+            let calibrations = |preset: &Preset| preset.table().calibration_sha256;
+            let calibrations: Vec<_> = presets.iter().map(calibrations).collect();
+            let camera = presets.active().table().camera_id.as_str();
+            let (model, input_px) = (detector.model().sha256, detector.input_size());
+            SiteFile::read(file, &MadeWith { camera, calibrations: &calibrations, model, input_px })
+        });
+        let site = site.transpose()?.map(|file| file.correction);
+        let least = settings.score.or(site.as_ref().and_then(|site| site.score));
         let vehicles = Vehicles::new(model.evidence, least, input_px);
-        let errors = Errors { counting: model.counting, site: settings.site.clone() };
+        let errors = Errors { counting: model.counting, site };
         let sizes = cars.iter().map(|cars| cars.size).collect();
         let input = detector.input_size();
         let parts = |preset: &Preset| match settings.views {
@@ -160,7 +185,11 @@ impl Line {
         let parts = presets.iter().map(parts).collect();
         let found = Vec::new();
         let following = Following::Off;
+        let (file, is_input_set) = (settings.model.clone(), settings.input != NetInput::Auto);
         Ok(Self {
+            file,
+            options,
+            is_input_set,
             detector,
             scene,
             judging,
@@ -197,29 +226,61 @@ impl Line {
         self.following
     }
 
-    /// Searches each picture once, and not its far part again, where the net is too slow for
-    /// that with pictures in this interval. A box that falls behind its camera loses windows.
+    /// Keeps the net within the time between two pictures: each is searched once, and not its far
+    /// part again, where two passes take more than half of it; and where one takes more than
+    /// [`NET_MOST`], the net gets the next smaller input of those that the model states. A box that
+    /// falls behind its camera loses windows, which is worse than a few vehicles more or less.
     ///
     /// # Errors
-    /// [`Failure::Detect`] where the net does not run.
+    /// [`Failure::Detect`] where the net does not run, [`Failure::Model`] where it cannot be loaded
+    /// again.
     pub fn keep_within(&mut self, interval: Duration) -> Result<(), Failure> {
-        let Some(passes) = self.parts.iter().map(Parts::count).max().filter(|&count| count > 1)
-        else {
-            return Ok(());
-        };
-        // The first run brings the net's memory in.
-        self.detector.infer()?;
-        let begun = clock::processor_time();
-        self.detector.infer()?;
-        let took = clock::processor_time() - begun;
-        if took.mul_f64(passes as f64) > interval.mul_f64(NET_SHARE) {
+        loop {
+            // The first run brings the net's memory in.
+            self.detector.infer()?;
+            let begun = clock::processor_time();
+            self.detector.infer()?;
+            let took = clock::processor_time() - begun;
+            let passes = self.parts.iter().map(Parts::count).max().unwrap_or(0);
+            if passes > 1 && took.mul_f64(passes as f64) > interval.mul_f64(NET_SHARE) {
+                log::warn!(
+                    "the net takes {took:.0?}: with pictures each {interval:?} their far part is \
+                     not searched again (model.views)"
+                );
+                self.parts.iter_mut().for_each(Parts::keep_one);
+            }
+            if took <= interval.mul_f64(NET_MOST) {
+                return Ok(());
+            }
+            let [width, height] = self.input_size();
+            let Some(smaller) = self.smaller_input() else {
+                log::warn!(
+                    "the net takes {took:.0?} at {width}x{height}, with pictures each {interval:?}: \
+                     some will be left out (make camera.interval_s longer)"
+                );
+                return Ok(());
+            };
+            let [columns, rows] = smaller;
             log::warn!(
-                "the net takes {took:.0?}: with pictures each {interval:?} their far part is not \
-                 searched again (model.views)"
+                "the net takes {took:.0?} at {width}x{height}, with pictures each {interval:?}: it \
+                 gets {columns}x{rows}, where small vehicles are found less often (make \
+                 camera.interval_s longer, or set model.input)"
             );
-            self.parts.iter_mut().for_each(Parts::keep_one);
+            let options = LoadOptions { input_px: Some(smaller), ..self.options };
+            self.detector = Detector::load_as(&self.file, &options)?;
+            self.vehicles = self.vehicles.with_input(smaller);
         }
-        Ok(())
+    }
+
+    /// The model's next smaller input; `None` where the size is set, by the configuration or by an
+    /// audit that was made with it.
+    fn smaller_input(&self) -> Option<[usize; 2]> {
+        if self.is_input_set || self.errors.site.is_some() {
+            return None;
+        }
+        let [width, _] = self.input_size();
+        let steps = self.detector.sidecar().step.iter().rev();
+        steps.map(|step| [step.width_px, step.height_px]).find(|[columns, _]| *columns < width)
     }
 
     /// Measures one frame.
@@ -231,6 +292,49 @@ impl Line {
         frame: &Frame,
         observe: Observer<'_>,
     ) -> Result<Outcome<'_>, Failure> {
+        let size = (frame.picture.width, frame.picture.height);
+        let (preset, shift) = match self.search(frame, observe)? {
+            Searched::Found { preset, shift } => (preset, shift),
+            Searched::Nothing(outcome) => return Ok(outcome),
+        };
+        let light = self.choose(preset, size);
+        let when = (frame.time, size);
+        let (counts, moves) = self.presets.count(preset, &self.found, when, shift, light)?;
+        observe(Stage::Count);
+        Ok(Outcome::Measured { preset, counts, moves })
+    }
+
+    /// Measures one frame as [`Self::measure`] does, and counts it with each of these scores first;
+    /// for a line that does not follow vehicles. Empty where the picture is not fit to be measured.
+    ///
+    /// # Errors
+    /// As of [`Self::measure`].
+    pub fn count_with(
+        &mut self,
+        frame: &Frame,
+        scores: &[f32],
+    ) -> Result<Vec<FrameCounts>, Failure> {
+        let size = (frame.picture.width, frame.picture.height);
+        let Searched::Found { preset, shift } = self.search(frame, &mut |_| ())? else {
+            return Ok(Vec::new());
+        };
+        let candidates = self.found.clone();
+        let own = self.vehicles;
+        let mut counts = Vec::with_capacity(scores.len());
+        for &score in scores {
+            self.found.clone_from(&candidates);
+            let light = self.choose_by(&own.with_least(score), preset, size);
+            let when = (frame.time, size);
+            let (counted, _) = self.presets.count(preset, &self.found, when, shift, light)?;
+            counts.push(counted.clone());
+        }
+        self.found = candidates;
+        self.choose(preset, size);
+        Ok(counts)
+    }
+
+    /// Fills `found` with what the net finds, where the picture is fit to be measured.
+    fn search(&mut self, frame: &Frame, observe: Observer<'_>) -> Result<Searched, Failure> {
         let (picture, size) = (&frame.picture, (frame.picture.width, frame.picture.height));
         self.found.clear();
         // A wrong picture is refused before it costs anything.
@@ -243,9 +347,9 @@ impl Line {
         let (preset, shift) = match view {
             View::Fit { preset, shift } => (preset, shift),
             _ if self.judging == Judging::Ignored => View::NOWHERE,
-            View::Unchanged => return Ok(Outcome::Unchanged),
-            View::PassedOver => return Ok(Outcome::PassedOver),
-            View::Withheld(alarm) => return Ok(Outcome::Withheld(alarm)),
+            View::Unchanged => return Ok(Searched::Nothing(Outcome::Unchanged)),
+            View::PassedOver => return Ok(Searched::Nothing(Outcome::PassedOver)),
+            View::Withheld(alarm) => return Ok(Searched::Nothing(Outcome::Withheld(alarm))),
         };
         self.detector.look_at(&self.parts[preset].of(size));
         for pass in 0..self.detector.passes() {
@@ -256,23 +360,27 @@ impl Line {
             self.detector.read(picture, pass, &output, &mut self.found)?;
             observe(Stage::Read);
         }
-        let light = self.choose(preset, size);
-        let when = (frame.time, size);
-        let (counts, moves) = self.presets.count(preset, &self.found, when, shift, light)?;
-        observe(Stage::Count);
-        Ok(Outcome::Measured { preset, counts, moves })
+        Ok(Searched::Found { preset, shift })
     }
 
     /// Leaves the vehicles in what was found, and shows the scene where none stands. Returns the
     /// light.
     fn choose(&mut self, preset: usize, size: (usize, usize)) -> Light {
+        let vehicles = self.vehicles;
+        let light = self.choose_by(&vehicles, preset, size);
+        if let Some(scene) = &mut self.scene {
+            scene.learn(preset, &self.found);
+        }
+        light
+    }
+
+    /// Leaves in what was found what these take for vehicles. Returns the light.
+    fn choose_by(&mut self, vehicles: &Vehicles, preset: usize, size: (usize, usize)) -> Light {
         let (scene, car) = (&self.scene, self.sizes[preset]);
         let likeness =
             |bounds: &PixelBox| scene.as_ref().map_or(0.0, |scene| scene.likeness(bounds));
-        self.vehicles.choose(&mut self.found, size, car, likeness);
-        let Some(scene) = &mut self.scene else { return Light::Day };
-        scene.learn(preset, &self.found);
-        scene.light()
+        vehicles.choose(&mut self.found, size, car, likeness);
+        scene.as_ref().map_or(Light::Day, Scene::light)
     }
 
     /// What judges the pictures, unless that is switched off.
@@ -336,6 +444,21 @@ impl Line {
     /// The lane table of the preset at which the camera looks.
     pub fn preset(&self) -> &Preset {
         self.presets.active()
+    }
+
+    /// The least score that counts.
+    pub fn least_score(&self) -> f32 {
+        self.vehicles.least()
+    }
+
+    /// How counts of cameras differ that were not audited; `None` where the model does not say.
+    pub fn counting(&self) -> Option<Counting> {
+        self.errors.counting
+    }
+
+    /// Columns and rows of the net's input.
+    pub fn input_size(&self) -> [usize; 2] {
+        self.detector.input_size()
     }
 
     /// What finds the vehicles, for messages.

@@ -7,7 +7,7 @@ use super::frame::{Detection, PixelBox, Shape};
 use super::plain;
 use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
 use crate::scene::{MAX_REFERENCE, Reference};
-use crate::units::{ImagePoint, ImageSize, VehicleClass};
+use crate::units::{ImagePoint, ImageSize, MAX_LANES, VehicleClass};
 use std::path::{Path, PathBuf};
 
 /// Largest table file that is read, bytes: the largest table, with room for its header.
@@ -153,6 +153,15 @@ impl Locator {
     /// What the table says about itself.
     pub fn description(&self) -> &Description {
         self.table.description()
+    }
+
+    /// One standard error of the length of each lane by its number, as a part.
+    pub fn length_rel_errs(&self) -> [Option<f32>; MAX_LANES] {
+        let mut errors = [None; MAX_LANES];
+        for lane in &self.description().lanes {
+            errors[usize::from(lane.id.get()) - 1] = self.table.lane_rel_err(lane.id);
+        }
+        errors
     }
 
     /// Checks that a picture of this size belongs to the table. A picture of another size

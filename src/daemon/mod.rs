@@ -13,6 +13,7 @@
 
 pub mod address;
 mod assemble;
+pub mod audit;
 mod board;
 pub mod capture;
 mod certificate;

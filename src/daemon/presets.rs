@@ -205,7 +205,7 @@ impl Presets {
             if let Some(tracker) = &preset.tracker {
                 windows.follow(lengths, tracker.longest_interval(), *min_completeness);
             }
-            windows.set_errors(table.length_rel_err, errors.clone());
+            windows.set_errors(preset.locator.length_rel_errs(), errors.clone());
             Ok::<_, AggregateError>(windows)
         };
         Ok(self.presets.iter().map(of).collect::<Result<_, _>>()?)

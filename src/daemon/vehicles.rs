@@ -14,7 +14,7 @@ const SURE: f32 = 0.45;
 const ONE_CAMERA: f32 = 0.45;
 
 /// Chooses among boxes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Vehicles {
     evidence: Option<Evidence>,
     least: f32,
@@ -27,6 +27,21 @@ impl Vehicles {
     pub fn new(evidence: Option<Evidence>, least: Option<f32>, input: [usize; 2]) -> Self {
         let stated = evidence.as_ref().map_or(0.0, |evidence| evidence.least);
         Self { evidence, least: least.unwrap_or(stated), input }
+    }
+
+    /// The same with another least probability.
+    pub fn with_least(&self, least: f32) -> Self {
+        Self { least, ..*self }
+    }
+
+    /// The same for a net with another input.
+    pub fn with_input(&self, input: [usize; 2]) -> Self {
+        Self { input, ..*self }
+    }
+
+    /// Least probability that counts; 0 for a model without weights.
+    pub const fn least(&self) -> f32 {
+        self.least
     }
 
     /// Leaves the vehicles in `found`, best first, with probabilities as their scores. `size` is that

@@ -13,13 +13,16 @@
 //!          + inside * o + inside_squared * o^2 + overlap * u                  the box that it
 //!          + beside * o * d + apart * o * |f| + behind * o * max(-f, 0)       lies in most
 //!          + empty * l                                                        the empty road
+//!          + chain * q + chain_inside * q * o                                 the queue around
 //! ```
 //!
 //! `s` is the net's score; `c` the side of a car at the place, px of the net's input; `r` the
 //! logarithm of the box's side over a car's; `o` and `u` the intersection with the better box
 //! over the smaller and over the union; `d` how far their middles lie apart and `f` how far lower
 //! the box ends, in sides of a car; `l` its likeness to the empty road
-//! ([`crate::scene::EmptyRoad`]). Boxes are taken by falling evidence of their own, so that a
+//! ([`crate::scene::EmptyRoad`]); `q` the better boxes that stand before and behind it as in a queue,
+//! up to [`QUEUE`] of them, as a part of so many: vehicles in a queue hide each other, and what shows
+//! of them looks like less than a vehicle. Boxes are taken by falling evidence of their own, so that a
 //! box over two places comes behind the two boxes that fit their places, and gives way to them.
 
 mod boxes;
@@ -39,6 +42,16 @@ const LOGIT: f32 = 3.0;
 const SIZES: f32 = 1.5;
 /// Below this logarithm of its size a car's box is small.
 const SMALL: f32 = -0.3;
+/// Vehicles around a box that make the fullest queue.
+pub const QUEUE: usize = 6;
+/// How far before or behind a box they stand. On a flat road the distance along the camera's axis
+/// is the focal length times a car's width over its side in the picture; with a focal length of
+/// about a picture's width this is 12 m.
+const QUEUE_REACH: f32 = 7.0;
+/// How far to the side, in sides of a car.
+const QUEUE_BESIDE: f32 = 1.5;
+/// A box that overlaps the other by so much (over the smaller) is a part of it, or it of that one.
+const QUEUE_INSIDE: f32 = 0.6;
 
 /// The weights of a group of classes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
@@ -90,6 +103,12 @@ pub struct Evidence {
     pub behind: f32,
     /// Of the likeness to the empty road.
     pub empty: f32,
+    /// Of the queue around it.
+    #[serde(default)]
+    pub chain: f32,
+    /// Of the queue around a box that lies in a better one.
+    #[serde(default)]
+    pub chain_inside: f32,
 }
 
 /// The size of cars in a picture, for [`Evidence::select`].
@@ -107,6 +126,14 @@ impl Expected {
     /// Side of a car where `bounds` meets the road, px of the picture.
     fn car(&self, bounds: &PixelBox) -> f32 {
         self.size.at(bounds.contact(), self.width)
+    }
+
+    /// Whether one of two boxes stands before or behind the other as vehicles in a queue do.
+    fn in_one_queue(&self, one: &PixelBox, other: &PixelBox) -> bool {
+        let (a, b) = (self.car(one), self.car(other));
+        let apart = (self.width / a - self.width / b).abs();
+        let beside = (one.contact().u - other.contact().u).abs() * 2.0 / (a + b);
+        apart < QUEUE_REACH && beside < QUEUE_BESIDE
     }
 }
 
@@ -138,16 +165,28 @@ impl Evidence {
             + self.empty * likeness
     }
 
-    /// What the boxes that were `kept` before change: the one it lies in most decides.
-    fn beside(&self, bounds: &PixelBox, kept: &[Detection], car: impl Fn(&PixelBox) -> f32) -> f32 {
+    /// What the boxes that were `kept` before change: the one it lies in most, and the queue.
+    fn beside(
+        &self,
+        bounds: &PixelBox,
+        kept: &[Detection],
+        expected: Option<&Expected>,
+        car: impl Fn(&PixelBox) -> f32,
+    ) -> f32 {
         let mut most: Option<(f32, &PixelBox)> = None;
+        let mut queue = 0;
         for other in kept {
             let inside = other.bounds.ios(bounds);
             if inside > most.map_or(0.0, |(inside, _)| inside) {
                 most = Some((inside, &other.bounds));
             }
+            let stands = |expected: &Expected| expected.in_one_queue(bounds, &other.bounds);
+            if inside < QUEUE_INSIDE && expected.is_some_and(stands) {
+                queue += 1;
+            }
         }
-        let Some((inside, other)) = most else { return 0.0 };
+        let queue = queue.min(QUEUE) as f32 / QUEUE as f32;
+        let Some((inside, other)) = most else { return self.chain * queue };
         let car = car(bounds).max(car(other));
         let beside = ((bounds.contact().u - other.contact().u).abs() / car).min(SIZES);
         let lower = (bounds.y1 - other.y1) / car;
@@ -157,6 +196,8 @@ impl Evidence {
             + self.beside * inside * beside
             + self.apart * inside * lower.abs().min(SIZES)
             + self.behind * inside * (-lower).max(0.0)
+            + self.chain * queue
+            + self.chain_inside * queue * inside
     }
 
     /// Sorts `boxes` so that the vehicles come first, best first, each with the probability that
@@ -182,7 +223,7 @@ impl Evidence {
         for at in 0..boxes.len() {
             let Some((kept, [candidate, ..])) = boxes.split_at_mut_checked(at) else { break };
             let kept = kept.get(..count).unwrap_or(&[]);
-            let evidence = candidate.score + self.beside(&candidate.bounds, kept, car);
+            let evidence = candidate.score + self.beside(&candidate.bounds, kept, expected, car);
             if evidence >= threshold {
                 candidate.score = evidence;
                 boxes.swap(count, at);

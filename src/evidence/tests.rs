@@ -21,6 +21,8 @@ const WEIGHTS: Evidence = Evidence {
     apart: 0.5,
     behind: 0.5,
     empty: -6.0,
+    chain: 0.0,
+    chain_inside: 0.0,
 };
 
 fn detection(x0: f32, y0: f32, x1: f32, y1: f32, score: f32) -> Detection {
@@ -99,4 +101,27 @@ fn what_looks_like_the_empty_road_is_no_vehicle() {
     let counted =
         |likeness: f32| WEIGHTS.select(&mut [arrow], Some(&expected()), |_| likeness, 0.5);
     assert_eq!((counted(0.0), counted(0.1), counted(0.8)), (1, 1, 0));
+}
+
+#[test]
+fn in_a_queue_less_of_a_vehicle_is_enough() {
+    // What shows of a car behind a van is a weak box; alone it does not count.
+    let weak = detection(102.0, 84.0, 120.0, 104.0, 0.34);
+    let queue = [[100.0, 100.0], [101.0, 122.0], [99.0, 142.0], [103.0, 62.0], [102.0, 42.0]];
+    let mut boxes: Vec<_> =
+        queue.iter().map(|&[x, y]| detection(x, y, x + 20.0, y + 20.0, 0.7)).collect();
+    boxes.push(weak);
+    let with = |chain, boxes: &[Detection]| {
+        let weights = Evidence { bias: 0.5, chain, ..WEIGHTS };
+        let mut boxes = boxes.to_vec();
+        weights.select(&mut boxes, Some(&expected()), |_| 0.0, 0.5)
+    };
+    assert_eq!(with(0.0, &boxes), 5);
+    assert_eq!(with(3.0, &boxes), 6);
+    assert_eq!(with(3.0, &[weak]), 0, "alone it is none");
+    // A queue in another lane, six cars' widths away, says nothing.
+    let mut away = boxes.clone();
+    away.truncate(5);
+    away.push(detection(222.0, 84.0, 240.0, 104.0, 0.34));
+    assert_eq!(with(3.0, &away), 5);
 }

@@ -14,7 +14,7 @@ use crate::density::{
 use crate::lane::Description;
 use crate::track::LaneMoves;
 use crate::traffic;
-use crate::units::UtcMs;
+use crate::units::{MAX_LANES, UtcMs};
 use crate::wire::CalibrationRef;
 use core::time::Duration;
 
@@ -55,10 +55,12 @@ impl<const W: usize> Preset<W> {
     }
 
     /// From now on reports have an interval from these errors ([`Aggregator::set_errors`]).
-    pub fn set_errors(&mut self, length_rel_err: Option<f32>, errors: Errors) {
+    pub fn set_errors(&mut self, length_rel_err: [Option<f32>; MAX_LANES], errors: Errors) {
         if let Some(traffic) = &mut self.traffic {
             let is_corrected = errors.site.as_ref().is_some_and(|site| !site.by_load.is_empty());
-            traffic.set_errors(length_rel_err, is_corrected);
+            // One error for all lanes there: the largest.
+            let largest = length_rel_err.iter().copied().flatten().reduce(f32::max);
+            traffic.set_errors(largest, is_corrected);
         }
         self.aggregator.set_errors(length_rel_err, errors);
     }

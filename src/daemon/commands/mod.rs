@@ -1,6 +1,7 @@
 //! What each command does. A command builds its line through `assemble` and names no
 //! more than one stage itself.
 
+pub mod audit;
 pub mod bench;
 pub mod check;
 #[cfg(feature = "desk")]

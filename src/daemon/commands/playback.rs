@@ -78,6 +78,25 @@ pub fn search(
     player.finish()
 }
 
+/// Shows each frame of a recording. Frames that cannot be used are said; a wrong answer of a
+/// person ends it.
+pub fn walk(
+    recorded: Recorded,
+    mut on_frame: impl FnMut(&Frame) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut player = Player::new(recorded);
+    while let Some(captured) = player.next() {
+        match captured.and_then(|()| on_frame(&player.frame)) {
+            Ok(()) => player.measured += 1,
+            Err(fault @ (Failure::CountedFrame { .. } | Failure::Write { .. })) => {
+                return Err(fault);
+            }
+            Err(fault) => player.note(&fault),
+        }
+    }
+    player.finish()
+}
+
 /// A recording as it is played, and how that goes.
 struct Player {
     source: Source,

@@ -50,6 +50,9 @@ pub struct Args {
     /// Also draw each frame with lanes, boxes, contact points and counts: PNGs in this folder
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
+    /// The site's own file, made by `verge audit`
+    #[arg(long, value_name = "FILE")]
+    audit: Option<PathBuf>,
     /// Which point of a box stands for the vehicle
     #[arg(long, value_enum, default_value_t)]
     anchor: Anchor,
@@ -62,7 +65,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         model: args.model.model.clone(),
         score: args.model.score,
         input: args.model.input,
-        site: None,
+        audit: args.audit.clone(),
         views: args.views,
     };
     let windows = WindowSettings::recorded(Duration::from_secs(args.window));

@@ -260,6 +260,7 @@ impl Config {
         absolute(&mut self.model.file);
         absolute(&mut self.lane_table.file);
         self.lane_table.presets.iter_mut().for_each(absolute);
+        self.lane_table.audit.as_mut().map(absolute);
         // Where systemd gives a folder for state, it is meant for this.
         let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);
         self.spool.folder = state.join(&self.spool.folder);

@@ -126,6 +126,8 @@ pub struct LaneTable {
     /// The files of the camera's other presets.
     #[serde(default)]
     pub presets: Vec<PathBuf>,
+    /// What `verge audit` has found at this site.
+    pub audit: Option<PathBuf>,
 }
 
 /// Over what time density is taken.

@@ -43,6 +43,23 @@ pub fn png(
     found: &[Detection],
     note: &str,
 ) -> Result<Vec<u8>, image::ImageError> {
+    let (drawing, mut canvas) = begin(frame, preset);
+    drawing.vehicles(&mut canvas, found);
+    drawing.legend(&mut canvas, found, &frame.name, note);
+    encode(canvas)
+}
+
+/// The same with the lanes alone, for people to count in: what the line finds would lead them.
+///
+/// # Errors
+/// As of [`png`].
+pub fn lanes_png(frame: &Frame, preset: &Preset) -> Result<Vec<u8>, image::ImageError> {
+    let (_, canvas) = begin(frame, preset);
+    encode(canvas)
+}
+
+/// The picture with its lanes.
+fn begin<'a>(frame: &Frame, preset: &'a Preset) -> (Drawing<'a>, Canvas) {
     let picture = &frame.picture;
     let scale = LEAST_WIDTH_PX.div_ceil(picture.width.max(1)).max(1);
     let mut canvas = Canvas::enlarged(picture, scale);
@@ -50,8 +67,10 @@ pub fn png(
     let size = ImageSize { width: side(picture.width), height: side(picture.height) };
     let drawing = Drawing { preset, size, scale: scale as f32 };
     drawing.lanes(&mut canvas);
-    drawing.vehicles(&mut canvas, found);
-    drawing.legend(&mut canvas, found, &frame.name, note);
+    (drawing, canvas)
+}
+
+fn encode(canvas: Canvas) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = Cursor::new(Vec::new());
     canvas.into_image().write_to(&mut bytes, image::ImageFormat::Png)?;
     Ok(bytes.into_inner())

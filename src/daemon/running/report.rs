@@ -101,6 +101,7 @@ fn camera(line: &Line) -> Option<payload::Camera> {
         light: scene
             .latest()
             .map(|look| if look.is_night() { payload::Light::Night } else { payload::Light::Day }),
+        road_age_s: scene.road_age().map(|age| age.as_secs()),
     })
 }
 

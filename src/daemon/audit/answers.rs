@@ -1,0 +1,190 @@
+//! What people have counted: lines `frame,lane,vehicles`.
+//!
+//! Owns the file, its empty form, and what is wrong with it by itself. Whether the answers fit the frames is decided
+//! by `fit`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Heading of the file.
+pub const HEADING: &str = "frame,lane,vehicles";
+/// More vehicles than any lane holds in one picture: a slip of the pen.
+const MOST: u32 = 200;
+
+/// Why answers cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum AnswersError {
+    /// The file cannot be read.
+    #[error("answers {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Something in it is wrong.
+    #[error("answers {}, line {line}: {reason}", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// Which line.
+        line: usize,
+        /// What is wrong, and what would be right.
+        reason: String,
+    },
+    /// It says too little.
+    #[error("answers {}: {reason}", path.display())]
+    Missing {
+        /// The file.
+        path: PathBuf,
+        /// What is missing.
+        reason: String,
+    },
+}
+
+/// Vehicles by lane, by the frame's name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Answers(BTreeMap<String, BTreeMap<u8, u32>>);
+
+impl Answers {
+    /// Reads a file about a table with these lanes. Frames without any number are left out: the
+    /// person has not counted them. A frame with some lanes counted and others not is refused.
+    ///
+    /// # Errors
+    /// [`AnswersError`] names the line.
+    pub fn read(path: &Path, lanes: &[u8]) -> Result<Self, AnswersError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| AnswersError::Read { path: path.to_owned(), source })?;
+        Self::parse(&text, path, lanes)
+    }
+
+    fn parse(text: &str, path: &Path, lanes: &[u8]) -> Result<Self, AnswersError> {
+        let mut frames: BTreeMap<String, BTreeMap<u8, u32>> = BTreeMap::new();
+        let mut heading = false;
+        for (number, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+            let wrong = |reason: String| AnswersError::Line {
+                path: path.to_owned(),
+                line: number + 1,
+                reason,
+            };
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            // Spreadsheets of some countries write semicolons.
+            let cells: Vec<&str> =
+                line.split([',', ';']).map(|cell| cell.trim().trim_matches('"')).collect();
+            if !heading {
+                if cells.join(",") != HEADING {
+                    return Err(wrong(format!("the first line must be {HEADING:?}, is {line:?}")));
+                }
+                heading = true;
+                continue;
+            }
+            let &[frame, lane, vehicles] = cells.as_slice() else {
+                return Err(wrong(format!("{line:?} has not the three fields {HEADING}")));
+            };
+            let known = lane.parse().ok().filter(|lane| lanes.contains(lane));
+            let Some(lane) = known else {
+                return Err(wrong(format!("lane {lane:?} is none of the table's lanes {lanes:?}")));
+            };
+            if vehicles.is_empty() {
+                continue;
+            }
+            let count = vehicles.parse().ok().filter(|&count| count <= MOST);
+            let Some(count) = count else {
+                return Err(wrong(format!(
+                    "{vehicles:?} vehicles: give a whole number up to {MOST}"
+                )));
+            };
+            if frames.entry(frame.to_owned()).or_default().insert(lane, count).is_some() {
+                return Err(wrong(format!("lane {lane} of {frame} was given before")));
+            }
+        }
+        let missing = |reason| AnswersError::Missing { path: path.to_owned(), reason };
+        for (frame, counted) in &frames {
+            if let Some(lane) = lanes.iter().find(|lane| !counted.contains_key(lane)) {
+                let reason = format!(
+                    "{frame} has no count of lane {lane}: count all of its lanes (0 where none \
+                     stands), or none of them"
+                );
+                return Err(missing(reason));
+            }
+        }
+        if frames.is_empty() {
+            return Err(missing("no frame is counted".to_owned()));
+        }
+        Ok(Self(frames))
+    }
+
+    /// Names of the frames.
+    pub fn frames(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
+    }
+
+    /// Vehicles in each of these lanes of a frame; `None` where it was not counted.
+    pub fn of(&self, frame: &str, lanes: &[u8]) -> Option<Vec<u32>> {
+        let counted = self.0.get(frame)?;
+        Some(lanes.iter().map(|lane| counted.get(lane).copied().unwrap_or(0)).collect())
+    }
+}
+
+/// The file to fill in: a line a frame and lane, its number left out.
+pub fn template<'a>(frames: impl Iterator<Item = &'a str>, lanes: &[u8]) -> String {
+    let mut text = format!(
+        "# How many vehicles stand in each lane? Each has the middle of its lower edge between the\n\
+         # lane's lines. Motorcycles count, bicycles do not; of a vehicle a third must be seen.\n\
+         # Leave all lanes of a frame empty that you cannot count.\n{HEADING}\n"
+    );
+    for frame in frames {
+        for lane in lanes {
+            text.push_str(&format!("{frame},{lane},\n"));
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Answers, AnswersError> {
+        Answers::parse(text, Path::new("counts.csv"), &[1, 2])
+    }
+
+    #[test]
+    fn frames_are_counted_lane_by_lane_or_not_at_all() {
+        let text = "# curve\nframe,lane,vehicles\na.jpg,1,3\na.jpg,2,0\nb.jpg,1,\nb.jpg,2,\n";
+        let answers = parse(text).expect("right");
+        assert_eq!(answers.frames().collect::<Vec<_>>(), ["a.jpg"]);
+        assert_eq!(answers.of("a.jpg", &[1, 2]), Some(vec![3, 0]));
+        assert_eq!(answers.of("b.jpg", &[1, 2]), None);
+        let spreadsheet = "\u{feff}frame;lane;vehicles\r\n\"a.jpg\";1;3\r\na.jpg;2;0\r\n";
+        assert_eq!(parse(spreadsheet).expect("right"), answers);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (text, said) in [
+            ("a.jpg,1,3\n", "line 1: the first line must be"),
+            ("frame,lane,vehicles\na.jpg,1\n", "line 2"),
+            ("frame,lane,vehicles\na.jpg,7,1\n", "none of the table's lanes [1, 2]"),
+            ("frame,lane,vehicles\na.jpg,1,-2\n", "give a whole number"),
+            ("frame,lane,vehicles\na.jpg,1,2.5\n", "give a whole number"),
+            ("frame,lane,vehicles\na.jpg,1,9999\n", "give a whole number"),
+            ("frame,lane,vehicles\na.jpg,1,1\na.jpg,1,1\n", "line 3: lane 1 of a.jpg was given"),
+            ("frame,lane,vehicles\na.jpg,1,1\n", "no count of lane 2"),
+            ("frame,lane,vehicles\na.jpg,1,\n", "no frame is counted"),
+        ] {
+            let error = parse(text).expect_err(text).to_string();
+            assert!(error.contains(said), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_sheet_without_answers_has_none() {
+        let text = template(["a.jpg", "b.jpg"].into_iter(), &[1, 2]);
+        assert!(text.ends_with("frame,lane,vehicles\na.jpg,1,\na.jpg,2,\nb.jpg,1,\nb.jpg,2,\n"));
+        assert!(parse(&text).is_err(), "nothing is counted yet");
+    }
+}

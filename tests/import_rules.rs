@@ -1,7 +1,7 @@
 //! The sentences of the design on who may import what, checked on the source text.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Every Rust file under `folder`, with its text.
 fn sources(folder: &str) -> Vec<(PathBuf, String)> {

@@ -29,7 +29,7 @@ fn the_example_is_right_and_shows_the_defaults() {
         (config.mqtt.user, config.mqtt.password_file) = (None, None);
         (config.mqtt.tls, config.mqtt.ca_file) = (false, None);
         (config.mqtt.certificate_file, config.mqtt.key_file) = (None, None);
-        config.model.score = None;
+        (config.model.score, config.lane_table.audit) = (None, None);
         config.metrics.file = None;
         (config.serial.device, config.serial.window_s) = (None, None);
         format!("{config:?}")

@@ -5,6 +5,7 @@ use rumqttc::{Client, Event, MqttOptions, NetworkOptions, Packet, QoS};
 use std::io::Write;
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 /// A broker that ends with the value.
@@ -27,10 +28,15 @@ pub fn mosquitto() -> Option<Mosquitto> {
     mosquitto_with("")
 }
 
-/// A port of this machine that is free now.
+/// A port of this machine that is free, another one each time: below those that the system gives to
+/// outgoing connections, of which a flood in another test has a thousand.
 pub fn free_port() -> u16 {
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
-    free.local_addr().expect("an address").port()
+    static GIVEN: AtomicU16 = AtomicU16::new(0);
+    let first = (std::process::id() % 100) as u16 * 200;
+    (0..)
+        .map(|_| 10_000 + (first + GIVEN.fetch_add(1, Ordering::Relaxed)) % 20_000)
+        .find(|&port| TcpListener::bind((Ipv4Addr::LOCALHOST, port)).is_ok())
+        .expect("a free port")
 }
 
 /// Starts mosquitto with more lines in its configuration.
@@ -48,8 +54,8 @@ pub fn mosquitto_with(lines: &str) -> Option<Mosquitto> {
     let text = format!(
         "listener {port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\npersistence false\n{lines}"
     );
-    std::fs::write(&config, text).expect("writing a file");
-    let child = Command::new(program)
+    std::fs::write(&config, &text).expect("writing a file");
+    let mut child = Command::new(program)
         .arg("-c")
         .arg(&config)
         .stdout(Stdio::null())
@@ -59,6 +65,7 @@ pub fn mosquitto_with(lines: &str) -> Option<Mosquitto> {
     let until = Instant::now() + Duration::from_secs(20);
     while TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err() {
         assert!(Instant::now() < until, "mosquitto listens");
+        assert_eq!(child.try_wait().expect("a child"), None, "mosquitto goes on: {text}");
         std::thread::sleep(Duration::from_millis(20));
     }
     Some(Mosquitto { port, child, _folder: folder })

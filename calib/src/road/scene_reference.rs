@@ -181,7 +181,7 @@ pub fn reference(frames: &[PathBuf], ignored: &[Vec<Vector2<f64>>]) -> Result<(G
 /// The same in the pose of a picture at hand, RGB with its size, called `name` in messages.
 ///
 /// # Errors
-/// As [`reference`].
+/// As [`reference()`].
 pub fn reference_of(
     name: &str,
     (rgb, width, height): (Vec<u8>, u32, u32),

@@ -228,7 +228,7 @@ impl Line {
 
     /// Keeps the net within the time between two pictures: each is searched once, and not its far
     /// part again, where two passes take more than half of it; and where one takes more than
-    /// [`NET_MOST`], the net gets the next smaller input of those that the model states. A box that
+    /// `NET_MOST`, the net gets the next smaller input of those that the model states. A box that
     /// falls behind its camera loses windows, which is worse than a few vehicles more or less.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Which certificate a camera or a broker may show, and what is said where it shows another.
+//! Which certificate a camera or a broker may show, and the error where it shows another.
 //!
 //! Owns three rules: public authorities, a file of certificates, or one certificate's
 //! fingerprint. A certificate that stands in the file itself, or whose fingerprint is pinned, is

@@ -30,8 +30,8 @@ pub struct Untold {
     pub log_odds: f64,
 }
 
-/// The vehicles that are likelier another body, the likeliest first. `at` is the fit of all as
-/// they are told.
+/// The vehicles that are likelier another body, the likeliest first. `at` is the fit with each
+/// as it is labelled.
 pub fn untold(problem: &Problem, settings: &Settings, at: &Estimate) -> Vec<Untold> {
     untold_above(NAMED, problem, settings, at)
 }

@@ -78,7 +78,7 @@ pub fn search(
     player.finish()
 }
 
-/// Shows each frame of a recording. Frames that cannot be used are said; a wrong answer of a
+/// Shows each frame of a recording. Frames that cannot be used are logged; a wrong answer of a
 /// person ends it.
 pub fn walk(
     recorded: Recorded,

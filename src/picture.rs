@@ -3,7 +3,7 @@
 //! Owns what is read from the luma of one picture and from two in a row. Reads no clock and
 //! allocates nothing; what follows from a flaw is decided in [`crate::health`]. The picture
 //! is given on the working grid (see [`crate::scene::Grid`]). Measured figures behind the
-//! thresholds: docs/health.md.
+//! thresholds: docs/explanation/health.md.
 
 use core::fmt;
 

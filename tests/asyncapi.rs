@@ -1,5 +1,5 @@
-//! `docs/asyncapi.json` says what is published: every topic that comes, and no schema that
-//! is not used. That it is the one generated from the types is `messages/tests`'s to check.
+//! `docs/reference/asyncapi.json` says what is published: every topic that comes, and no schema
+//! that is not used. That it is the one generated from the types is `messages/tests`'s to check.
 #![cfg(feature = "demo")]
 
 use serde_json::Value;
@@ -21,7 +21,7 @@ use verge_messages::Alarm;
 const ROOT: &str = "verge/k109f";
 
 fn document() -> Value {
-    let text = fs::read_to_string("docs/asyncapi.json").expect("it ships");
+    let text = fs::read_to_string("docs/reference/asyncapi.json").expect("it ships");
     serde_json::from_str(&text).expect("JSON")
 }
 
@@ -66,7 +66,7 @@ fn the_document_is_whole() {
             used.insert(schema_file(resolved(&document, message)).to_owned());
         }
     }
-    let there: BTreeSet<String> = fs::read_dir("docs/schemas")
+    let there: BTreeSet<String> = fs::read_dir("docs/reference/schemas")
         .expect("it ships")
         .map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned())
         .map(|name| format!("schemas/{name}"))

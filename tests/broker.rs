@@ -76,7 +76,7 @@ fn tend(outlet: &mut Outlet, what: &str, done: impl Fn(&Outlet) -> bool) {
 }
 
 fn validate(schema: &str, message: &Value) {
-    let path = format!("docs/schemas/{schema}.schema.json");
+    let path = format!("docs/reference/schemas/{schema}.schema.json");
     let schema: Value =
         serde_json::from_str(&std::fs::read_to_string(path).expect("it ships")).expect("JSON");
     let validator = jsonschema::validator_for(&schema).expect("a right schema");

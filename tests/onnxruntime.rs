@@ -98,8 +98,8 @@ fn our_models_boxes_agree_with_onnx_runtimes() {
 }
 
 /// In int8 two runtimes never agree box by box: a sum that lies between two steps falls to
-/// either side, and each layer doubles the bytes that differ (docs/inference.md). What must
-/// hold is that ours scatter about theirs, without leaning to one side.
+/// either side, and each layer doubles the bytes that differ (docs/measured/inference.md). What
+/// must hold is that ours scatter about theirs, without leaning to one side.
 #[test]
 fn our_models_boxes_in_int8_scatter_about_onnx_runtimes() {
     let model = Path::new("models/verge_nanodet_640x480.onnx");

@@ -1,5 +1,5 @@
-//! Measures how well a moved camera is noticed and a shaking one borne (docs/health.md has
-//! the results and the command of each).
+//! Measures how well a moved camera is noticed and a shaking one borne
+//! (docs/explanation/health.md has the results and the command of each).
 //!
 //! ```text
 //! scene moves SCENE [CASES [LIGHT]]  moves of 2 % or 2 degrees, by day, at night, in rain

@@ -1,4 +1,4 @@
-//! The speed figures of `docs/calibration.md`, on camera K109F and one core.
+//! The speed figures of `docs/measured/calibration.md`, on camera K109F and one core.
 //!
 //! `cargo run --release -p mvcalib --example speed`: the paper's full budgets (35 searches
 //! of 4,000 and 7 of 20,000 evaluations, none stopped early) in both forms, and `joint`

@@ -1,6 +1,7 @@
 //! Camera K109F against road marks that no calibration has seen.
 //!
-//! Holds the table of `docs/calibration.md` to what the methods give (`--nocapture` prints it).
+//! Holds the table of `docs/measured/calibration.md` to what the methods give (`--nocapture`
+//! prints it).
 
 mod k109f;
 
@@ -86,7 +87,7 @@ fn the_documents_table_is_what_the_methods_give() {
     rows.push(row("joint, vehicles only", &joint(false).camera()));
     rows.push(row("joint, two lane lines", &joint(true).camera()));
     println!("{}", rows.join("\n"));
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/calibration.md");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/measured/calibration.md");
     let text = std::fs::read_to_string(path).expect("the document");
     for row in &rows {
         let name = row.split('|').nth(1).expect("a name").trim();

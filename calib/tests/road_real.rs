@@ -1,6 +1,6 @@
 //! The road fit on real cameras: K109F, and three views of BrnoCompSpeed's session 0.
 //!
-//! Prints the rows of `docs/calibration.md` (`--nocapture`). BrnoCompSpeed is read from
+//! Prints the rows of `docs/measured/calibration.md` (`--nocapture`). BrnoCompSpeed is read from
 //! `../shared` and skipped with a message where it is missing, which is a failure under
 //! VERGE_NO_SKIP=1.
 

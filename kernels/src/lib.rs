@@ -9,7 +9,7 @@
 //! Own code, because nothing that can be had runs these nets at this speed: tract and rten take 7
 //! to 30 times as long as ONNX Runtime for quantised depthwise nets, and crates of matrix products
 //! (rten-gemm, tract-linalg) leave the depthwise convolutions, the shuffles and the rounding between
-//! them, which is where the time goes. `docs/inference.md` has what is measured.
+//! them, which is where the time goes. `docs/measured/inference.md` has what is measured.
 //!
 //! The one place of the project, besides the clock and the microcontroller, with `unsafe`:
 //! vector instructions and the pointers that they need.

@@ -1,4 +1,4 @@
-//! Writes `docs/schemas/*.json` and `docs/asyncapi.json` from the types.
+//! Writes `docs/reference/schemas/*.json` and `docs/reference/asyncapi.json` from the types.
 //!
 //! `cargo run -p verge-messages --features schema --example documents`
 
@@ -6,7 +6,7 @@ use verge_messages::asyncapi::{documents, text};
 
 fn main() -> std::io::Result<()> {
     for (path, document) in documents() {
-        let path = format!("{}/../docs/{path}", env!("CARGO_MANIFEST_DIR"));
+        let path = format!("{}/../docs/reference/{path}", env!("CARGO_MANIFEST_DIR"));
         std::fs::write(&path, text(&document))?;
         println!("{path}");
     }

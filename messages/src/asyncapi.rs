@@ -2,7 +2,7 @@
 //! document over all topics.
 //!
 //! Owns what stands in them beyond the types: titles, addresses and how channels are retained.
-//! `--example documents` writes them below `docs/`.
+//! `--example documents` writes them below `docs/reference/`.
 
 use crate::{Alarm, AlarmMessage, Density, Health, Presence, Topic, window_name};
 use schemars::generate::SchemaSettings;
@@ -11,7 +11,7 @@ use schemars::{JsonSchema, Schema};
 use serde_json::{Map, Value, json};
 use std::time::Duration;
 
-/// A file below `docs/`, and what stands in it.
+/// A file below `docs/reference/`, and what stands in it.
 pub type Document = (String, Value);
 
 /// All documents.
@@ -189,7 +189,8 @@ fn asyncapi() -> Value {
             "version": crate::SCHEMA.to_string(),
             "description": "What a density sensor publishes over MQTT. It subscribes to nothing. \
                 Discovery messages for Home Assistant, where asked for, stand outside the root \
-                (docs/formats.md). All messages have QoS 1 and may arrive twice: `seq` tells.",
+                (docs/reference/formats.md). All messages have QoS 1 and may arrive twice: \
+                `seq` tells.",
             "license": { "name": "Apache-2.0 OR MIT" },
         },
         "defaultContentType": "application/json",

@@ -2,9 +2,9 @@
 //!
 //! Owns the JSON of every message, in both directions: the daemon writes by these types, the
 //! centre and `verge convert` read by them and by one [check](Density::check). The schemas in
-//! `docs/schemas/` and `docs/asyncapi.json` are generated from them, and a test holds the files
-//! to them. Does not know where numbers come from: the core's types become these in
-//! `src/messages.rs`. The compact form is the core's `wire`; read, it becomes these too.
+//! `docs/reference/schemas/` and `docs/reference/asyncapi.json` are generated from them, and a
+//! test holds the files to them. Does not know where numbers come from: the core's types become
+//! these in `src/messages.rs`. The compact form is the core's `wire`; read, it becomes these too.
 //!
 //! # Adding a field
 //!

@@ -1,5 +1,5 @@
-//! The files below `docs/` are those that the types generate, and a schema refuses what the
-//! check refuses.
+//! The files below `docs/reference/` are those that the types generate, and a schema refuses what
+//! the check refuses.
 
 use serde_json::{Value, json};
 use std::fs;
@@ -8,7 +8,7 @@ use verge_messages::asyncapi::documents;
 use verge_messages::{Alarm, Density, Status, read};
 
 fn docs(path: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs").join(path)
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/reference").join(path)
 }
 
 #[test]
@@ -18,7 +18,7 @@ fn the_files_are_those_of_the_types() {
         let file: Value = serde_json::from_str(&text).unwrap_or_default();
         assert_eq!(
             file, generated,
-            "docs/{path} is not what the types say: \
+            "docs/reference/{path} is not what the types say: \
              cargo run -p verge-messages --features schema --example documents"
         );
     }
@@ -28,13 +28,16 @@ fn the_files_are_those_of_the_types() {
 
 #[test]
 fn alarms_and_statuses_stand_in_the_documents() {
-    for path in ["../README.md", "health.md"] {
+    for path in ["../../README.md", "../explanation/health.md"] {
         let text = fs::read_to_string(docs(path)).expect("it ships");
         for alarm in Alarm::ALL {
-            assert!(text.contains(&format!("`{}`", alarm.name())), "docs/{path} has no {alarm:?}");
+            assert!(
+                text.contains(&format!("`{}`", alarm.name())),
+                "docs/reference/{path} has no {alarm:?}"
+            );
         }
     }
-    let text = fs::read_to_string(docs("../README.md")).expect("it ships");
+    let text = fs::read_to_string(docs("../../README.md")).expect("it ships");
     for status in Status::ALL {
         assert!(text.contains(&format!("`{}`", status.name())), "README.md has no {status:?}");
     }

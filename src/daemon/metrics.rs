@@ -358,12 +358,12 @@ mod tests {
             .lines()
             .filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next())
             .collect();
-        let document = std::fs::read_to_string("docs/formats.md").expect("it ships");
+        let document = std::fs::read_to_string("docs/reference/formats.md").expect("it ships");
         let (_, section) = document.split_once("## Prometheus").expect("a section of its own");
         let section = section.split("\n## ").next().unwrap_or_default();
         let documented: BTreeSet<&str> =
             section.split('`').filter(|word| word.starts_with("verge_")).collect();
-        assert_eq!(documented, written, "docs/formats.md, and what is written");
+        assert_eq!(documented, written, "docs/reference/formats.md, and what is written");
     }
 
     #[test]

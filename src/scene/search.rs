@@ -77,8 +77,8 @@ impl Sighting {
     }
 }
 
-/// Least significance of a sighting that is believed. Measured (docs/health.md): pictures of
-/// other cameras reach 6.8, the same camera by day and night 11 to 34.
+/// Least significance of a sighting that is believed. Measured (docs/explanation/health.md):
+/// pictures of other cameras reach 6.8, the same camera by day and night 11 to 34.
 pub const SURE: f32 = 8.5;
 /// Least support of a sighting that is believed; other cameras reach 0.25.
 pub const SURE_SUPPORT: f32 = 0.3;

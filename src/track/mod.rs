@@ -56,7 +56,7 @@ const QUEUE_GAP_M: f32 = 20.0;
 /// What is taken for the speed of the first vehicle on a lane, and its standard deviation, m/s.
 const ANY_SPEED_M_S: [f32; 2] = [15.0, 10.0];
 /// From the point where a vehicle meets the road in the picture, its nearer wheels and bumper, to
-/// the end of it, m: most of a car's overhang (docs/traffic.md).
+/// the end of it, m: most of a car's overhang (docs/explanation/traffic.md).
 const OVERHANG_M: f32 = 0.6;
 /// Weight of a vehicle in the lane's usual speed.
 const USUAL: f32 = 0.1;

@@ -15,7 +15,7 @@ pub enum Error {
     #[error(transparent)]
     Desk(#[from] verge_desk::Failure),
     /// The scene file is not TOML, or has a key that no scene has.
-    #[error("scene {origin}: {message}; docs/street.md lists the keys")]
+    #[error("scene {origin}: {message}; docs/explanation/street.md lists the keys")]
     SceneSyntax {
         /// The file, or `<text>`.
         origin: String,

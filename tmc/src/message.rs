@@ -1,5 +1,5 @@
-//! The density message as it arrives: JSON (`docs/schemas/density.schema.json`) or the compact
-//! form (`verge::wire`).
+//! The density message as it arrives: JSON (`docs/reference/schemas/density.schema.json`) or the
+//! compact form (`verge::wire`).
 //!
 //! Owns which form it is, and what the archive asks of a message beyond the check that all
 //! readers share (`verge_messages`). Both forms of a message give the same window.

@@ -1,4 +1,4 @@
-//! What joint loses where its assumptions do not hold, for `docs/calibration.md`.
+//! What joint loses where its assumptions do not hold, for `docs/measured/calibration.md`.
 //!
 //! `cargo run --release -p mvcalib --example harder_scenes -- 300` prints three tables in
 //! Markdown, from made scenes of unknown cars with labels of 1 px: vans, minibuses and taxis

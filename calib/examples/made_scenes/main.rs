@@ -1,4 +1,4 @@
-//! The accuracy table of `docs/calibration.md`: made scenes with known truth, all cells.
+//! The accuracy table of `docs/measured/calibration.md`: made scenes with known truth, all cells.
 //!
 //! `cargo run --release -p mvcalib --example made_scenes -- 100 --kept kept.tsv` prints Markdown:
 //! median MAPE of the road marks for the stages and forms of MVCalib, for `joint` and for an

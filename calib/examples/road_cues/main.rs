@@ -1,4 +1,5 @@
-//! The accuracy table of the road fit in `docs/calibration.md`: cameras of the street, by cues.
+//! The accuracy table of the road fit in `docs/measured/calibration.md`: cameras of the street,
+//! by cues.
 //!
 //! `cargo run --release -p mvcalib --example road_cues -- make DIR` records traffic of made
 //! cameras over made roads. A detector then writes the boxes of each camera,

@@ -2,7 +2,7 @@
 //!
 //! Owns the mapping from a [`Density`] to each format. Pure functions: no file, no clock, no
 //! connection. What each field means, and what a format cannot say, stands in
-//! `docs/formats.md`.
+//! `docs/reference/formats.md`.
 
 mod csv;
 mod datex2;

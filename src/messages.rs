@@ -32,6 +32,8 @@ pub fn density(message: &DensityMessage, done: Option<bool>) -> messages::Densit
     messages::Density {
         schema: messages::Schema::default(),
         site: site.as_str().to_owned(),
+        // The box's configuration says where it is, not what is measured.
+        place: None,
         seq: *seq,
         window_s: u32::try_from(to.saturating_since(*from).as_secs()).unwrap_or(u32::MAX),
         from: (*from).into(),
@@ -57,6 +59,8 @@ fn lane(report: &LaneReport) -> messages::Lane {
     let LaneReport { frames_expected, status, cells, error, traffic: moving, .. } = report;
     messages::Lane {
         lane: lane.get(),
+        lane_name: None,
+        lane_order: None,
         direction: (*direction).into(),
         density_veh_km: density_veh_km.map(rounded),
         density_se: density_se.map(rounded),

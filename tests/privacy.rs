@@ -263,5 +263,9 @@ fn only_numbers_leave_the_box_and_nothing_listens() {
     let announced = topics.iter().filter(|topic| topic.starts_with("homeassistant/")).count();
     assert!(announced >= 2, "Home Assistant hears of the connection and of lanes: {topics:?}");
     let metrics = fs::read_to_string(metrics).expect("the metrics file");
-    assert!(metrics.contains("\nverge_frames_total{outcome=\"measured\"} "), "{metrics}");
+    assert!(
+        metrics.contains("\nverge_frames_total{site=\"")
+            && metrics.contains(",outcome=\"measured\"} "),
+        "{metrics}"
+    );
 }

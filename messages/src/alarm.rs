@@ -1,6 +1,7 @@
 //! The alarms and the message that raises or clears one: `<root>/alarm/<name>`.
 
-use crate::{Schema, Utc};
+use crate::wrong::{name, time};
+use crate::{Schema, Utc, Wrong};
 use serde::{Deserialize, Serialize};
 
 /// What is wrong at the box or with its pictures.
@@ -75,6 +76,18 @@ pub struct AlarmMessage {
     pub name: Alarm,
     /// Raised, or over.
     pub active: bool,
+}
+
+impl AlarmMessage {
+    /// Refuses what no box publishes.
+    ///
+    /// # Errors
+    /// The first [`Wrong`] field.
+    pub fn check(&self) -> Result<(), Wrong> {
+        let Self { schema: _, site, time: at, name: _, active: _ } = self;
+        name("site", site)?;
+        time("time", *at)
+    }
 }
 
 #[cfg(test)]

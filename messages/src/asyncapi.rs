@@ -93,7 +93,7 @@ struct Channel {
     description: &'static str,
 }
 
-fn channels() -> [Channel; 5] {
+fn channels() -> [Channel; 6] {
     // Of which kind is told by the address; which one is a parameter of it.
     let (window, alarm) = (Duration::from_secs(60), Alarm::NoPicture);
     [
@@ -109,6 +109,12 @@ fn channels() -> [Channel; 5] {
             message: "density",
             description: "One message a window, as it closes. Its payload is JSON, or with \
                 `mqtt.format = \"postcard\"` the binary form of src/wire.rs.",
+        },
+        Channel {
+            name: "latest",
+            topic: Topic::Latest(window),
+            message: "density",
+            description: "The latest live window of each length, the same bytes as on `density`,                 for those who come later. Absent with `mqtt.latest = false`.",
         },
         Channel {
             name: "replay",
@@ -142,7 +148,7 @@ fn address(topic: Topic) -> (String, Value) {
     let (kind, _) = concrete.rsplit_once('/').unwrap_or_default();
     match topic {
         Topic::Presence | Topic::Health => (concrete, json!({ "root": root })),
-        Topic::Density(_) | Topic::Replay(_) => {
+        Topic::Density(_) | Topic::Latest(_) | Topic::Replay(_) => {
             (format!("{kind}/{{window}}"), json!({ "root": root, "window": window }))
         }
         Topic::Alarm(_) => {

@@ -1,7 +1,8 @@
 //! The density of one window of one site, and the check that every reader relies on.
 
+use crate::place::check_lane;
 use crate::wrong::{count, known, name, number, sha256};
-use crate::{SCHEMA, Schema, Status, Traffic, Utc, Wrong};
+use crate::{LaneName, Place, SCHEMA, SCHEMA_WITH_PLACE, Schema, Status, Traffic, Utc, Wrong};
 use serde::{Deserialize, Serialize};
 
 /// Most lanes of a camera.
@@ -31,7 +32,7 @@ const MOST_REL_ERR: f32 = 10.0;
 /// Windows of 10 s in 300,000 years, so that differences of numbers do not overflow.
 const MOST_SEQ: u64 = 1 << 40;
 /// The first instant of the year 10,000, ms since 1970: dates have four digits.
-const YEAR_10000_MS: i64 = 253_402_300_800_000;
+pub(crate) const YEAR_10000_MS: i64 = 253_402_300_800_000;
 
 /// Published on `<root>/density/<window>` when the window closes, and on
 /// `<root>/replay/density/<window>` when it could not be sent then, QoS 1. It may arrive twice,
@@ -40,11 +41,16 @@ const YEAR_10000_MS: i64 = 253_402_300_800_000;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "schema", schemars(title = "verge density window"))]
 pub struct Density {
-    /// Version of the message.
+    /// Version of the message: 2 where it has a place, else 1.
+    #[cfg_attr(feature = "schema", schemars(schema_with = "either_schema"))]
     pub schema: Schema,
     /// The site that measured.
     #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub site: String,
+    /// Where it is and what people call it; absent where its configuration does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Place"))]
+    pub place: Option<Place>,
     /// Number among this site's messages of this window length, from 1. It goes on when the
     /// box restarts; a number that is missing waits on the box or was lost.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = MOST_SEQ)))]
@@ -81,6 +87,18 @@ pub struct Lane {
     /// Its number in the lane file.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = MOST_LANES)))]
     pub lane: u8,
+    /// What people call it; absent where the configuration does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(
+        feature = "schema",
+        schemars(with = "String", length(min = 1, max = crate::LONGEST_PLACE))
+    )]
+    pub lane_name: Option<String>,
+    /// Its number on the carriageway as the country counts; absent where the configuration does
+    /// not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "u8", range(min = 1, max = 16)))]
+    pub lane_order: Option<u8>,
     /// Which way its traffic moves, as the camera sees it.
     pub direction: Direction,
     /// veh/km in this lane
@@ -270,19 +288,41 @@ pub fn rounded(value: f32) -> f32 {
     if rounded.is_finite() { rounded } else { value }
 }
 
+#[cfg(feature = "schema")]
+fn either_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+    schemars::json_schema!({ "enum": [SCHEMA, SCHEMA_WITH_PLACE] })
+}
+
 impl Density {
+    /// The same from a site of which this is known.
+    #[must_use]
+    pub fn at(mut self, place: &Place, lanes: &[LaneName]) -> Self {
+        self.schema = Schema::WITH_PLACE;
+        self.place = Some(place.clone());
+        for lane in &mut self.lanes {
+            let Some(known) = lanes.iter().find(|known| known.lane == lane.lane) else { continue };
+            lane.lane_name.clone_from(&known.name);
+            lane.lane_order = known.order;
+        }
+        self
+    }
+
     /// Refuses what no box publishes: it would look like a measurement to whoever reads it.
     ///
     /// # Errors
     /// The first [`Wrong`] field.
     pub fn check(&self) -> Result<(), Wrong> {
         let Self { schema, site, seq, window_s, from, to, clock_synced: _, lanes, .. } = self;
-        let Self { calibration, model, done: _, .. } = self;
-        if schema.0 != SCHEMA {
-            let reason = format!("{}, this program reads {SCHEMA}: update it", schema.0);
+        let Self { calibration, model, place, done: _, .. } = self;
+        if !schema.is_known() {
+            let reason = format!(
+                "{}, this program reads {SCHEMA} and {SCHEMA_WITH_PLACE}: update it",
+                schema.0
+            );
             return Err(Wrong::new("schema", reason));
         }
         name("site", site)?;
+        place.as_ref().map_or(Ok(()), Place::check).map_err(|wrong| wrong.inside("place"))?;
         count("seq", *seq, 1, MOST_SEQ)?;
         let lengths = SHORTEST_WINDOW_S..=LONGEST_WINDOW_S;
         if !lengths.contains(window_s) || !DAY_S.is_multiple_of(*window_s) {
@@ -313,11 +353,13 @@ impl Density {
 
 impl Lane {
     fn check(&self) -> Result<(), Wrong> {
-        let Self { lane, direction: _, density_veh_km, density_se, vehicles_mean, .. } = self;
+        let Self { lane, lane_name, lane_order, direction: _, density_veh_km, .. } = self;
+        let Self { density_se, vehicles_mean, .. } = self;
         let Self { by_class, space_occupancy, length_m, frames_used, frames_expected, .. } = self;
         let Self { status: _, cells, density_ci90, calibration_se, counting_se, traffic, .. } =
             self;
         count("lane", (*lane).into(), 1, MOST_LANES.into())?;
+        check_lane(lane_name.as_deref(), *lane_order)?;
         known("density_veh_km", *density_veh_km, MOST_VEH_KM)?;
         known("density_se", *density_se, MOST_VEH_KM)?;
         known("vehicles_mean", *vehicles_mean, MOST_VEHICLES)?;

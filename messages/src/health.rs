@@ -1,7 +1,21 @@
 //! The state of the sensor: `<root>/health`.
 
-use crate::{Alarm, Schema, Status, Utc};
+use crate::wrong::{count, name, number, time, words};
+use crate::{Alarm, Schema, Status, Utc, Wrong};
 use serde::{Deserialize, Serialize};
+
+/// Longest words on a fault, bytes.
+const LONGEST_FAULT: usize = 4096;
+/// Largest counter: a message a microsecond for 280 years.
+const MOST_COUNT: u64 = 1 << 53;
+/// Largest shift of a picture, px.
+const MOST_SHIFT_PX: f32 = 100_000.0;
+/// Warmest enclosure, degrees Celsius, and with a minus the coldest.
+const MOST_C: f32 = 300.0;
+/// Longest interval between pictures, s.
+const LONGEST_INTERVAL_S: f32 = 86_400.0;
+/// Largest difference of two densities, veh/km.
+const MOST_VEH_KM: f32 = 10_000.0;
 
 /// Published on `<root>/health`, QoS 1, retained: at start, each minute, and when the status
 /// changes.
@@ -50,6 +64,107 @@ pub struct Health {
     pub certificate_days: Option<i64>,
     /// The latest fault, for people; null while all is well.
     pub last_fault: Option<String>,
+}
+
+impl Health {
+    /// Refuses what no box publishes.
+    ///
+    /// # Errors
+    /// The first [`Wrong`] field.
+    pub fn check(&self) -> Result<(), Wrong> {
+        let Self { schema: _, site, time: at, version, status: _, alarm: _, uptime_s, .. } = self;
+        let Self { clock_synced: _, camera, frames, stream, messages, traffic, board, .. } = self;
+        let Self { stage_faults, certificate_days: _, last_fault, .. } = self;
+        name("site", site)?;
+        time("time", *at)?;
+        name("version", version)?;
+        for (field, given) in [("uptime_s", *uptime_s), ("stage_faults", *stage_faults)] {
+            count(field, given, 0, MOST_COUNT)?;
+        }
+        words("last_fault", last_fault.as_deref(), LONGEST_FAULT)?;
+        frames.check().map_err(|wrong| wrong.inside("frames"))?;
+        stream.check().map_err(|wrong| wrong.inside("stream"))?;
+        messages.check().map_err(|wrong| wrong.inside("messages"))?;
+        board.check().map_err(|wrong| wrong.inside("board"))?;
+        if let Some(camera) = camera {
+            camera.check().map_err(|wrong| wrong.inside("camera"))?;
+        }
+        let Some(Following { longest_interval_s, density_difference_veh_km }) = traffic else {
+            return Ok(());
+        };
+        let field = "traffic.longest_interval_s";
+        number(field, *longest_interval_s, 0.0, LONGEST_INTERVAL_S)?;
+        let field = "traffic.density_difference_veh_km";
+        let difference = *density_difference_veh_km;
+        difference.map_or(Ok(()), |given| number(field, given, -MOST_VEH_KM, MOST_VEH_KM))
+    }
+}
+
+/// Counters that a box may have.
+fn counts<const N: usize>(all: [(&str, u64); N]) -> Result<(), Wrong> {
+    all.into_iter().try_for_each(|(field, given)| count(field, given, 0, MOST_COUNT))
+}
+
+impl Frames {
+    fn check(&self) -> Result<(), Wrong> {
+        let Self { measured, unchanged, damaged, missing, withheld } = *self;
+        counts([
+            ("measured", measured),
+            ("unchanged", unchanged),
+            ("damaged", damaged),
+            ("missing", missing),
+            ("withheld", withheld),
+        ])
+    }
+}
+
+impl Stream {
+    fn check(&self) -> Result<(), Wrong> {
+        let Self { flagged, lost, reopened } = *self;
+        counts([("flagged", flagged), ("lost", lost), ("reopened", reopened)])
+    }
+}
+
+impl Messages {
+    fn check(&self) -> Result<(), Wrong> {
+        let Self { delivered, refused, waiting, in_memory, dropped, damaged } = *self;
+        counts([
+            ("delivered", delivered),
+            ("refused", refused),
+            ("waiting", waiting),
+            ("in_memory", in_memory),
+            ("dropped", dropped),
+            ("damaged", damaged),
+        ])
+    }
+}
+
+impl Board {
+    fn check(&self) -> Result<(), Wrong> {
+        let Self { enclosure_c, pace: _, faults, last_fault } = self;
+        if let Some(celsius) = *enclosure_c {
+            number("enclosure_c", celsius, -MOST_C, MOST_C)?;
+        }
+        let BoardFaults { status_led, camera_power, watchdog, thermometer } = *faults;
+        counts([
+            ("faults.status_led", status_led),
+            ("faults.camera_power", camera_power),
+            ("faults.watchdog", watchdog),
+            ("faults.thermometer", thermometer),
+        ])?;
+        words("last_fault", last_fault.as_deref(), LONGEST_FAULT)
+    }
+}
+
+impl Camera {
+    fn check(&self) -> Result<(), Wrong> {
+        let Self { aim: _, preset, shift_px, light: _, road_age_s } = self;
+        name("preset", preset)?;
+        for shift in shift_px.iter().flatten() {
+            number("shift_px", *shift, -MOST_SHIFT_PX, MOST_SHIFT_PX)?;
+        }
+        road_age_s.map_or(Ok(()), |age| count("road_age_s", age, 0, MOST_COUNT))
+    }
 }
 
 /// What became of the pictures since start.

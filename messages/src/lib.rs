@@ -19,7 +19,8 @@
 //!
 //! A test finds a bound that stands in the schema and not in the check, or the other way round.
 //! A field that is added changes no version. One that goes, or means something else, is a new
-//! [`SCHEMA`].
+//! [`SCHEMA`]. A place came with a version of its own, [`SCHEMA_WITH_PLACE`]: a message without one
+//! has the bytes it always had.
 
 mod alarm;
 #[cfg(feature = "schema")]
@@ -29,6 +30,7 @@ mod density;
 pub mod formats;
 mod health;
 pub mod objects;
+mod place;
 mod presence;
 mod read;
 mod status;
@@ -45,18 +47,21 @@ pub use density::{
 pub use health::{
     Aim, Board, BoardFaults, Camera, Following, Frames, Health, Light, Messages, Pace, Stream,
 };
+pub use place::{LONGEST_PLACE, LaneName, Place, check_lane};
 pub use presence::Presence;
-pub use read::{ReadError, read};
+pub use read::{ReadError, read, read_alarm, read_health};
 pub use status::Status;
 pub use time::{Utc, rfc3339};
-pub use topic::{Topic, window_name};
+pub use topic::{Kind, Topic, window_name};
 pub use traffic::{Passed, Traffic};
 pub use wrong::Wrong;
 
 use serde::{Deserialize, Serialize};
 
-/// Version of every JSON message; a reader refuses one that it does not know.
+/// Version of a JSON message without a place; a reader refuses a version that it does not know.
 pub const SCHEMA: u32 = 1;
+/// Version of a density message that says where its site is.
+pub const SCHEMA_WITH_PLACE: u32 = 2;
 /// Longest name of a site, calibration or model, bytes.
 pub const LONGEST_NAME: usize = 48;
 
@@ -83,6 +88,16 @@ impl schemars::JsonSchema for Schema {
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
         schemars::json_schema!({ "const": SCHEMA })
+    }
+}
+
+impl Schema {
+    /// Of a density message that says where its site is.
+    pub(crate) const WITH_PLACE: Self = Self(SCHEMA_WITH_PLACE);
+
+    /// Whether this program reads it.
+    pub(crate) const fn is_known(self) -> bool {
+        matches!(self.0, SCHEMA | SCHEMA_WITH_PLACE)
     }
 }
 

@@ -3,7 +3,7 @@
 //! Fields that are not known are passed over, so that a message of a later version is read as
 //! long as its schema is; what is known is checked.
 
-use crate::{Density, SCHEMA, Wrong};
+use crate::{AlarmMessage, Density, Health, SCHEMA, SCHEMA_WITH_PLACE, Schema, Wrong};
 use serde::Deserialize;
 
 /// Why bytes are not a density message.
@@ -12,12 +12,30 @@ pub enum ReadError {
     /// Not JSON, or not an object with a message's fields.
     #[error("not a density message: {0}; give what the daemon publishes under density/")]
     Json(String),
+    /// The same of the state of a sensor, or of an alarm.
+    #[error("not a message of {kind}: {reason}; give what the daemon publishes under {kind}")]
+    Other {
+        /// `health` or `alarm`.
+        kind: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
     /// A schema that this program does not read.
-    #[error("schema version {0}, this program reads {SCHEMA}: update it")]
+    #[error("schema version {0}, this program reads {SCHEMA} and {SCHEMA_WITH_PLACE}: update it")]
     Schema(u64),
     /// A field with a value that no message has.
     #[error(transparent)]
     Wrong(#[from] Wrong),
+}
+
+impl ReadError {
+    /// The same of another kind of message.
+    fn of(self, kind: &'static str) -> Self {
+        match self {
+            Self::Json(reason) => Self::Other { kind, reason },
+            other => other,
+        }
+    }
 }
 
 /// Reads one message in JSON and checks it.
@@ -25,20 +43,50 @@ pub enum ReadError {
 /// # Errors
 /// [`ReadError`] says which field is wrong, and what would be right.
 pub fn read(json: &[u8]) -> Result<Density, ReadError> {
+    let message: Density = parsed(json)?;
+    if !message.schema.is_known() {
+        return Err(ReadError::Schema(message.schema.0.into()));
+    }
+    message.check()?;
+    Ok(message)
+}
+
+/// Reads the state of a sensor in JSON and checks it.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_health(json: &[u8]) -> Result<Health, ReadError> {
+    let health: Health = parsed(json).map_err(|error| error.of("health"))?;
+    if health.schema.0 != SCHEMA {
+        return Err(ReadError::Schema(health.schema.0.into()));
+    }
+    health.check()?;
+    Ok(health)
+}
+
+/// Reads an alarm in JSON and checks it.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_alarm(json: &[u8]) -> Result<AlarmMessage, ReadError> {
+    let alarm: AlarmMessage = parsed(json).map_err(|error| error.of("alarm"))?;
+    if alarm.schema.0 != SCHEMA {
+        return Err(ReadError::Schema(alarm.schema.0.into()));
+    }
+    alarm.check()?;
+    Ok(alarm)
+}
+
+/// One object and nothing behind it.
+fn parsed<T: serde::de::DeserializeOwned>(json: &[u8]) -> Result<T, ReadError> {
     // serde takes an array for a struct.
     if !json.trim_ascii_start().starts_with(b"{") {
         return Err(ReadError::Json("it does not begin with '{'".into()));
     }
     let mut parser = serde_json::Deserializer::from_slice(json);
-    let message: Density = match serde_path_to_error::deserialize(&mut parser) {
-        Ok(message) => message,
-        Err(error) => return Err(reason(json, &error)),
-    };
+    let message =
+        serde_path_to_error::deserialize(&mut parser).map_err(|error| reason(json, &error))?;
     parser.end().map_err(|error| ReadError::Json(error.to_string()))?;
-    if message.schema.0 != SCHEMA {
-        return Err(ReadError::Schema(message.schema.0.into()));
-    }
-    message.check()?;
     Ok(message)
 }
 
@@ -49,7 +97,11 @@ fn reason(json: &[u8], error: &serde_path_to_error::Error<serde_json::Error>) ->
         schema: u64,
     }
     match serde_json::from_slice(json) {
-        Ok(Version { schema }) if schema != u64::from(SCHEMA) => ReadError::Schema(schema),
+        Ok(Version { schema })
+            if !u32::try_from(schema).is_ok_and(|schema| Schema(schema).is_known()) =>
+        {
+            ReadError::Schema(schema)
+        }
         _ => {
             let (path, inner) = (error.path().to_string(), error.inner());
             match inner.classify() {
@@ -104,6 +156,31 @@ mod tests {
     }
 
     #[test]
+    fn a_place_is_carried_and_a_message_without_one_is_as_before() {
+        let place = crate::Place {
+            name: Some("Siu Lam".into()),
+            road: Some("Tuen Mun Road".into()),
+            latitude: Some(22.362_51),
+            longitude: Some(114.012_5),
+            bearing: Some(120.0),
+            ..crate::Place::default()
+        };
+        let fast = crate::LaneName { lane: 2, name: Some("fast lane".into()), order: Some(3) };
+        let message = read(golden().as_bytes()).expect("right").at(&place, &[fast]);
+        let golden = golden()
+            .replacen(
+                "\"schema\":1,\"site\":\"k109f\"",
+                "\"schema\":2,\"site\":\"k109f\",\"place\":{\
+                \"name\":\"Siu Lam\",\"road\":\"Tuen Mun Road\",\"direction\":null,\
+                \"latitude\":22.36251,\"longitude\":114.0125,\"bearing\":120.0}",
+                1,
+            )
+            .replacen("\"lane\":2", "\"lane\":2,\"lane_name\":\"fast lane\",\"lane_order\":3", 1);
+        assert_eq!(String::from_utf8(crate::json(&message)).expect("JSON"), golden);
+        assert_eq!(read(golden.as_bytes()), Ok(message));
+    }
+
+    #[test]
     fn unknown_fields_are_passed_over_and_optional_ones_may_be_absent() {
         let message = read(golden().as_bytes());
         assert_eq!(changed("\"schema\":1", "\"schema\":1,\"colour\":[1]"), message);
@@ -115,8 +192,15 @@ mod tests {
     #[test]
     fn what_is_wrong_is_named() {
         for (from, to, expected) in [
-            ("\"schema\":1", "\"schema\":2", "schema version 2, this program reads 1"),
+            ("\"schema\":1", "\"schema\":3", "schema version 3, this program reads 1 and 2"),
             ("\"schema\":1,\"site\"", "\"schema\":9,\"place\"", "schema version 9"),
+            (
+                "\"seq\":7",
+                "\"seq\":7,\"place\":{\"latitude\":91,\"longitude\":0}",
+                "place.latitude: 91: -90 to 90",
+            ),
+            ("\"seq\":7", "\"seq\":7,\"place\":{\"bearing\":\"north\"}", "place.bearing: invalid"),
+            ("\"lane\":1", "\"lane\":1,\"lane_order\":0", "lanes[0].lane_order: 0: 1 to 16"),
             ("\"seq\":7", "\"seq\":-7", "seq: invalid value: integer `-7`"),
             ("\"seq\":7", "\"seq\":0", "seq: 0: 1 to"),
             ("\"seq\":7", "\"seq\":9223372036854775807", "seq: 9223372036854775807: 1 to"),

@@ -11,6 +11,8 @@ pub enum Topic {
     Presence,
     /// One message a window of that length, as it closes.
     Density(Duration),
+    /// The latest live window of that length; retained.
+    Latest(Duration),
     /// Windows that were measured while the broker was away.
     Replay(Duration),
     /// The state of the sensor; retained.
@@ -28,8 +30,24 @@ impl Topic {
     /// Whether the broker keeps the latest message for those who come later.
     pub const fn is_retained(self) -> bool {
         match self {
-            Self::Presence | Self::Health | Self::Alarm(_) => true,
+            Self::Presence | Self::Health | Self::Alarm(_) | Self::Latest(_) => true,
             Self::Density(_) | Self::Replay(_) => false,
+        }
+    }
+
+    /// Site and kind of a topic of a message, where sites stand under `root`:
+    /// `verge/k109f/alarm/no_picture`. None where it is another topic.
+    pub fn kind_of<'t>(root: &str, topic: &'t str) -> Option<(&'t str, Kind)> {
+        if let Some((site, _)) = Self::density_of(root, topic) {
+            return Some((site, Kind::Density));
+        }
+        let rest = topic.strip_prefix(root)?.strip_prefix('/')?;
+        let (site, rest) = rest.split_once('/')?;
+        let is_alarm = rest.strip_prefix("alarm/").is_some_and(|name| !name.contains('/'));
+        match rest {
+            "health" => Some((site, Kind::Health)),
+            _ if is_alarm => Some((site, Kind::Alarm)),
+            _ => None,
         }
     }
 
@@ -43,11 +61,23 @@ impl Topic {
     }
 }
 
+/// What a message is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A window, live or replayed.
+    Density,
+    /// The state of the sensor.
+    Health,
+    /// An alarm.
+    Alarm,
+}
+
 impl fmt::Display for Topic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Presence => f.write_str("presence"),
             Self::Density(window) => write!(f, "density/{}", window_name(*window)),
+            Self::Latest(window) => write!(f, "latest/{}", window_name(*window)),
             Self::Replay(window) => write!(f, "replay/density/{}", window_name(*window)),
             Self::Health => f.write_str("health"),
             Self::Alarm(alarm) => write!(f, "alarm/{}", alarm.name()),

@@ -52,6 +52,22 @@ pub(crate) fn name(field: &str, given: &str) -> Result<(), Wrong> {
     Err(Wrong::new(field, format!("longer than {} bytes", crate::LONGEST_NAME)))
 }
 
+/// A time of which the year has four digits, ms since 1970.
+pub(crate) fn time(field: &str, given: crate::Utc) -> Result<(), Wrong> {
+    if (0..crate::density::YEAR_10000_MS).contains(&given.0) {
+        return Ok(());
+    }
+    Err(Wrong::new(field, format!("{given}: 1970 to 9999 is right")))
+}
+
+/// Words for people, of at most so many bytes.
+pub(crate) fn words(field: &str, given: Option<&str>, most: usize) -> Result<(), Wrong> {
+    if given.is_none_or(|given| given.len() <= most) {
+        return Ok(());
+    }
+    Err(Wrong::new(field, format!("longer than {most} bytes")))
+}
+
 /// A SHA-256 in hexadecimal.
 pub(crate) fn sha256(field: &str, given: &str) -> Result<(), Wrong> {
     let is_digit = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');

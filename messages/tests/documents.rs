@@ -1,6 +1,9 @@
 //! The files below `docs/reference/` are those that the types generate, and a schema refuses what
 //! the check refuses.
 
+// A message with everything in it is one `json!`.
+#![recursion_limit = "256"]
+
 use serde_json::{Value, json};
 use std::fs;
 use std::path::PathBuf;
@@ -46,12 +49,15 @@ fn alarms_and_statuses_stand_in_the_documents() {
 /// A message with everything in it.
 fn message() -> Value {
     let sha256 = "0a".repeat(32);
+    let place = json!({"name": "Siu Lam", "road": "Tuen Mun Road", "direction": "to Kowloon",
+        "latitude": 22.5, "longitude": 114.0, "bearing": 120.0});
     json!({
-        "schema": 1, "site": "k109f", "seq": 7, "window_s": 60,
+        "schema": 2, "site": "k109f", "place": place,
+        "seq": 7, "window_s": 60,
         "from": "2026-01-05T08:00:00.000Z", "to": "2026-01-05T08:01:00.000Z",
         "clock_synced": true,
         "lanes": [{
-            "lane": 1, "direction": "away", "density_veh_km": 24.25, "density_se": 3.5,
+            "lane": 1, "lane_name": "slow lane", "lane_order": 1, "direction": "away", "density_veh_km": 24.25, "density_se": 3.5,
             "vehicles_mean": 3.0,
             "by_class": {"vehicle": 0.0, "car": 1.0, "van": 2.0, "bus": 3.0, "truck": 4.0,
                 "motorcycle": 5.0},

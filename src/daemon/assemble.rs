@@ -6,13 +6,14 @@ use super::capture::{
     CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Recorded, Source, SourceSettings,
     utc_offset,
 };
-use super::config::{Config, SourceKind};
+use super::config::{Config, ConfigError, Site, SourceKind};
 use super::exit::Failure;
 use super::frame::Frame;
 use super::line::{Line, LineSettings};
 use super::locate::Anchor;
 use super::outlet::Outlet;
 use super::presets::{Following, TableSettings, WindowSettings};
+use super::publish::payload::Located;
 use super::publish::{Identity, MqttSettings, Tls};
 use super::spool::Spool;
 use super::station::Station;
@@ -47,7 +48,7 @@ impl Assembly {
         let presets = line.windows(&windows(config), config.interval())?;
         let camera = camera(config, Some(&line))?;
         Source::open(camera.clone())?;
-        let identity = Identity::new(&config.site, line.model());
+        let identity = Identity::new(&config.site.id, line.model()).at(located(config, &line)?);
         Ok(Self { line, presets, camera, broker: broker(config)?, identity })
     }
 
@@ -165,6 +166,25 @@ pub fn open_line(config: &Config) -> Result<Line, Failure> {
     Ok(line)
 }
 
+/// Where the site is, if the configuration says.
+fn located(config: &Config, line: &Line) -> Result<Option<Located>, Failure> {
+    let Site { place, lanes, .. } = &config.site;
+    let table = &line.preset().table().lanes;
+    // Each preset has lanes of its own.
+    let unknown = lanes.iter().find(|named| {
+        config.lane_table.presets.is_empty() && table.iter().all(|lane| lane.id.get() != named.lane)
+    });
+    if let Some(named) = unknown {
+        let numbers: Vec<_> = table.iter().map(|lane| lane.id.get().to_string()).collect();
+        let reason =
+            format!("lane {}: the lane table has lanes {}", named.lane, numbers.join(", "));
+        let path = config.lane_table.file.clone();
+        return Err(ConfigError::Value { path, key: "site.lanes", reason }.into());
+    }
+    let lanes = lanes.clone();
+    Ok(place.clone().map(|place| Located { place, lanes }))
+}
+
 /// The windows of a configuration: none that was begun in its middle.
 fn windows(config: &Config) -> WindowSettings {
     WindowSettings {
@@ -186,5 +206,6 @@ pub fn broker(config: &Config) -> Result<MqttSettings, Failure> {
         keep_alive: Duration::from_secs(config.mqtt.keep_alive_s),
         version: config.mqtt.version,
         replay_per_s: config.mqtt.replay_per_s,
+        keeps_latest: config.mqtt.latest,
     })
 }

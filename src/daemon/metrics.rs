@@ -70,9 +70,9 @@ impl Metrics {
     }
 
     fn text(&self, health: &Health, alarms: &[Alarm], connected: bool) -> String {
-        let mut text = Text::default();
+        let mut text = Text { site: health.site.clone(), ..Text::default() };
         text.family("verge_build_info", "gauge", "Version and site of the sensor.");
-        text.sample(&[("site", &health.site), ("version", &health.version)], 1);
+        text.sample(&[("version", &health.version)], 1);
         text.family("verge_uptime_seconds", "gauge", "Time since the daemon's start.");
         text.sample(&[], health.uptime_s);
         text.family("verge_clock_synchronized", "gauge", "1: a time source has set the clock.");
@@ -121,7 +121,7 @@ impl Metrics {
             text.sample(&[], turn.as_secs_f64());
         }
         self.windows(&mut text);
-        text.0
+        text.text
     }
 
     fn windows(&self, text: &mut Text) {
@@ -192,23 +192,28 @@ impl Metrics {
     }
 }
 
-/// Text in the exposition format, and the family that samples belong to.
+/// Text in the exposition format: every sample says which site it is of.
 #[derive(Default)]
-struct Text(String, &'static str);
+struct Text {
+    text: String,
+    site: String,
+    /// The family that samples belong to.
+    family: &'static str,
+}
 
 impl Text {
     fn family(&mut self, name: &'static str, kind: &str, help: &str) {
-        self.1 = name;
+        self.family = name;
         // A string takes what is written to it.
-        let _ = write!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}\n");
+        let _ = write!(self.text, "# HELP {name} {help}\n# TYPE {name} {kind}\n");
     }
 
     fn sample(&mut self, labels: &[(&str, &str)], value: impl Display) {
-        let labels: Vec<_> =
-            labels.iter().map(|(key, text)| format!("{key}=\"{}\"", escaped(text))).collect();
-        let braces =
-            if labels.is_empty() { String::new() } else { format!("{{{}}}", labels.join(",")) };
-        let _ = writeln!(self.0, "{}{braces} {value}", self.1);
+        let labels: Vec<_> = std::iter::once(&("site", self.site.as_str()))
+            .chain(labels)
+            .map(|(key, text)| format!("{key}=\"{}\"", escaped(text)))
+            .collect();
+        let _ = writeln!(self.text, "{}{{{}}} {value}", self.family, labels.join(","));
     }
 }
 
@@ -321,7 +326,7 @@ mod tests {
         let samples = parsed(&text);
         let density = "verge_lane_density_vehicles_per_kilometre";
         for (series, value) in [
-            ("verge_build_info{site=\"a \\\"b\\\" \\\\\",version=\"0.1.0\"}", 1.0),
+            ("verge_build_info{version=\"0.1.0\"}", 1.0),
             ("verge_uptime_seconds", 75.0),
             ("verge_clock_synchronized", 1.0),
             ("verge_broker_connected", 1.0),
@@ -342,7 +347,10 @@ mod tests {
             (&format!("{density}{{window=\"60s\",lane=\"1\",direction=\"away\"}}"), 20.25),
             ("verge_lane_completeness_ratio{window=\"60s\",lane=\"2\",direction=\"away\"}", 0.75),
         ] {
-            assert_eq!(samples.get(series), Some(&value), "{series} in\n{text}");
+            let (name, labels) = series.split_once('{').unwrap_or((series, "}"));
+            let comma = if labels == "}" { "" } else { "," };
+            let series = format!("{name}{{site=\"a \\\"b\\\" \\\\\"{comma}{labels}");
+            assert_eq!(samples.get(&series), Some(&value), "{series} in\n{text}");
         }
         let densities = samples.keys().filter(|series| series.starts_with(density)).count();
         assert_eq!(densities, 1, "a lane without density has no sample");

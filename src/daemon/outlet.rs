@@ -28,7 +28,8 @@ pub struct Outlet {
 impl Outlet {
     /// Starts publishing; a broker that is away is no error.
     pub fn start(broker: MqttSettings, format: Format, identity: Identity, spool: Spool) -> Self {
-        let publisher = Publisher::start(broker, format);
+        let mut publisher = Publisher::start(broker, format);
+        publisher.locate(identity.located().cloned());
         Self { identity, spool, publisher, serial: None, retry_at: Instant::now() + RETRY }
     }
 
@@ -74,6 +75,7 @@ impl Outlet {
         identity: Identity,
         windows: u64,
     ) {
+        self.publisher.locate(identity.located().cloned());
         self.identity = identity;
         self.spool.keep(windows);
         self.publisher.change(broker, format);

@@ -37,7 +37,7 @@ impl Candidate {
 fn check_fixed(path: &Path, running: &Config, new: &Config) -> Result<(), ConfigError> {
     let spools = [running, new].map(|config| config.spool_folder().display().to_string());
     let topics = [running, new].map(Config::root_topic);
-    let sites = [running, new].map(|config| config.site.clone());
+    let sites = [running, new].map(|config| config.site.id.clone());
     for (key, [is, asked], reason) in [
         ("spool.folder", spools, "windows that wait lie there"),
         ("site", sites, "windows that wait carry it"),

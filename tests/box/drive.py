@@ -328,7 +328,7 @@ def recording(box):
     health = box.broker.latest["health"]
     if health["camera"]["aim"] != "in_place":
         raise Failed(f"{health['camera']}")
-    turn = box.machine.do("awk '$1 == \"verge_turn_duration_seconds\" { print $2 }' /run/metrics")
+    turn = box.machine.do("awk 'index($1, \"verge_turn_duration_seconds{\") == 1 { print $2 }' /run/metrics")
     densities = ", ".join(f"{density:.1f}" for density, _ in lanes(message))
     return (f"{densities} veh/km as when replayed ({frames(message)}), camera in place, "
             f"{float(turn):.1f} s a picture")

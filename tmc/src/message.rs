@@ -1,11 +1,87 @@
-//! The density message as it arrives: JSON (`docs/reference/schemas/density.schema.json`) or the
-//! compact form (`verge::wire`).
+//! Messages as they arrive: a window in JSON (`docs/reference/schemas/density.schema.json`) or in the
+//! compact form (`verge::wire`), the state of a sensor, an alarm.
 //!
 //! Owns which form it is, and what the archive asks of a message beyond the check that all
 //! readers share (`verge_messages`). Both forms of a message give the same window.
 
+use serde::Deserialize;
+use serde::de::IgnoredAny;
 use verge::wire;
-use verge_messages::Density;
+use verge_messages::{AlarmMessage, Density, Health, Kind, Utc};
+
+/// A message of any kind.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// A window.
+    Density(Box<Density>),
+    /// The state of the sensor.
+    Health(Box<Health>),
+    /// An alarm that is raised or over.
+    Alarm(AlarmMessage),
+}
+
+impl Message {
+    /// Whose it is.
+    pub fn site(&self) -> &str {
+        match self {
+            Self::Density(message) => &message.site,
+            Self::Health(message) => &message.site,
+            Self::Alarm(message) => &message.site,
+        }
+    }
+
+    /// From when to when it tells.
+    pub fn span(&self) -> (Utc, Utc) {
+        match self {
+            Self::Density(message) => (message.from, message.to),
+            Self::Health(message) => (message.time, message.time),
+            Self::Alarm(message) => (message.time, message.time),
+        }
+    }
+
+    /// Rows of the archive that it becomes.
+    pub fn rows(&self) -> usize {
+        match self {
+            Self::Density(message) => rows(message),
+            Self::Health(_) | Self::Alarm(_) => 1,
+        }
+    }
+}
+
+/// Reads a message of that kind and checks it.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn read_kind(kind: Kind, bytes: &[u8]) -> Result<Message, String> {
+    let message = match kind {
+        Kind::Density => return read(bytes).map(|message| Message::Density(Box::new(message))),
+        Kind::Health => verge_messages::read_health(bytes).map(|it| Message::Health(Box::new(it))),
+        Kind::Alarm => verge_messages::read_alarm(bytes).map(Message::Alarm),
+    };
+    let message = message.map_err(|error| error.to_string())?;
+    check_site(message.site())?;
+    Ok(message)
+}
+
+/// Reads a message whose kind nobody tells: one of the journal.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn read_any(bytes: &[u8]) -> Result<Message, String> {
+    /// What tells the kinds apart; any of it may be absent.
+    #[derive(Deserialize)]
+    struct Marks {
+        lanes: Option<IgnoredAny>,
+        uptime_s: Option<IgnoredAny>,
+        active: Option<IgnoredAny>,
+    }
+    let kind = match serde_json::from_slice(bytes) {
+        Ok(Marks { lanes: None, uptime_s: Some(_), .. }) => Kind::Health,
+        Ok(Marks { lanes: None, uptime_s: None, active: Some(_) }) => Kind::Alarm,
+        _ => Kind::Density,
+    };
+    read_kind(kind, bytes)
+}
 
 /// Reads a message and checks it.
 ///
@@ -21,12 +97,16 @@ pub fn read(bytes: &[u8]) -> Result<Density, String> {
     } else {
         verge_messages::read(bytes).map_err(|error| error.to_string())?
     };
-    // A folder of the archive has the site's name.
-    let site = &message.site;
-    if !is_site(site) {
-        return Err(format!("site {site:?}: letters, digits, '-', '_' and '.' make a name"));
-    }
+    check_site(&message.site)?;
     Ok(message)
+}
+
+/// A folder of the archive has the site's name.
+fn check_site(site: &str) -> Result<(), String> {
+    if is_site(site) {
+        return Ok(());
+    }
+    Err(format!("site {site:?}: letters, digits, '-', '_' and '.' make a name"))
 }
 
 /// Rows of the archive that a message becomes: its lanes and their cells.
@@ -74,7 +154,7 @@ pub(crate) mod tests {
         let window = read(right.as_bytes()).unwrap();
         assert_eq!((window.seq, window.from.0), (7, 1_767_600_000_000));
         for (from, to, said) in [
-            ("\"schema\":1", "\"schema\":2", "schema version 2"),
+            ("\"schema\":1", "\"schema\":3", "schema version 3"),
             ("k109f", "../etc", "make a name"),
             ("k109f", "", "make a name"),
             ("k109f", ".hidden", "make a name"),
@@ -83,6 +163,53 @@ pub(crate) mod tests {
         ] {
             let error = read(right.replacen(from, to, 1).as_bytes()).unwrap_err();
             assert!(error.contains(said), "{to}: {error}");
+        }
+    }
+
+    /// An alarm as a box writes it.
+    pub(crate) fn alarm(site: &str, name: &str, active: bool, time: &str) -> String {
+        format!(
+            r#"{{"schema":1,"site":"{site}","time":"{time}","name":"{name}","active":{active}}}"#
+        )
+    }
+
+    /// The state of a sensor as a box writes it.
+    pub(crate) fn health(site: &str, time: &str, clock_synced: bool) -> String {
+        format!(
+            r#"{{"schema":1,"site":"{site}","time":"{time}","version":"0.1.0","status":"oK",
+            "alarm":null,"uptime_s":75,"clock_synced":{clock_synced},"camera":null,
+            "frames":{{"measured":1,"unchanged":0,"damaged":0,"missing":0,"withheld":0}},
+            "stream":{{"flagged":0,"lost":0,"reopened":0}},"messages":{{"delivered":4,"refused":0,
+            "waiting":0,"in_memory":0,"dropped":0,"damaged":0}},"traffic":null,
+            "board":{{"enclosure_c":41.5,"pace":"full","faults":{{"status_led":0,"camera_power":0,
+            "watchdog":0,"thermometer":0}},"last_fault":null}},"stage_faults":0,
+            "certificate_days":null,"last_fault":null}}"#
+        )
+    }
+
+    #[test]
+    fn kinds_are_told_apart_and_each_is_checked() {
+        let time = "2026-01-05T08:00:00.000Z";
+        let of = |text: &str| read_any(text.as_bytes());
+        assert!(matches!(of(&message("a", 7, time)), Ok(Message::Density(_))));
+        assert!(matches!(of(&health("a", time, true)), Ok(Message::Health(_))));
+        let raised = of(&alarm("a", "camera_moved", true, time)).unwrap();
+        assert_eq!(
+            (raised.site(), raised.span().0, raised.rows()),
+            ("a", Utc(1_767_600_000_000), 1)
+        );
+        for (text, said) in [
+            (alarm("a", "camera_stolen", true, time), "name: unknown variant `camera_stolen`"),
+            (alarm("../a", "camera_moved", true, time), "make a name"),
+            (alarm("a", "camera_moved", true, "1969-12-31T00:00:00Z"), "time: 1969-12-31"),
+            (health("a", time, true).replace("41.5", "4e9"), "board.enclosure_c: 4000000000"),
+            (health("a", time, true).replace(":75", ":-1"), "uptime_s: invalid value"),
+            (health("a", time, true).replace("\"delivered\":4,", ""), "missing field `delivered`"),
+            (health("a", time, true).replace("\"schema\":1", "\"schema\":2"), "schema version 2"),
+            ("{}".into(), "not a density message"),
+        ] {
+            let error = of(&text).unwrap_err();
+            assert!(error.contains(said), "{said}: {error}");
         }
     }
 

@@ -10,7 +10,7 @@ use crate::{Density, Lane, Status, Utc};
 use std::fmt::Write;
 
 /// Country of a publisher that does not tell: a code that ISO 3166-1 leaves to its users.
-const NO_COUNTRY: &str = "ZZ";
+pub(super) const NO_COUNTRY: &str = "ZZ";
 
 /// Closes what [`begin`] opens.
 pub const END: &str = "</d2:payload>";
@@ -187,7 +187,7 @@ fn fault(status: Status, time: Utc) -> String {
 }
 
 /// Text for content and attributes; what XML 1.0 cannot hold becomes U+FFFD.
-fn escaped(text: &str) -> String {
+pub(super) fn escaped(text: &str) -> String {
     let mut xml = String::new();
     for character in text.chars() {
         match character {

@@ -2,10 +2,13 @@
 //!
 //! `intensity` is the number of vehicles that passed in the period and `averageVehicleSpeed` the
 //! space-mean speed, where vehicles are followed. The model has no density: `density` with its unit,
-//! its 90 % interval and its errors is added, as NGSI allows. What is not known is left out, never 0.
+//! its 90 % interval and its errors is added, as NGSI allows. `location` is a GeoJSON point where the
+//! site says where it is. What is not known is left out, never 0.
 
-use crate::{Density, Direction, Lane, Passed, Utc, rounded};
+use super::geojson::point;
+use crate::{Density, Direction, Lane, Passed, Place, Utc, rounded};
 use serde::Serialize;
+use serde_json::Value;
 use std::fmt::Write;
 
 /// Unit of the added property.
@@ -17,6 +20,12 @@ struct TrafficFlowObserved<'a> {
     id: String,
     r#type: &'static str,
     name: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    location: Option<Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    address: Option<Address>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    description: Option<String>,
     date_observed: String,
     date_observed_from: Utc,
     date_observed_to: Utc,
@@ -52,6 +61,13 @@ struct TrafficFlowObserved<'a> {
     sample_zone_status: &'static str,
 }
 
+/// The part of schema.org's `PostalAddress` that a road has.
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Address {
+    street_address: String,
+}
+
 /// The entities of one message, one a lane, as a JSON array for a batch upsert.
 pub fn entities(message: &Density, road_segment: Option<&str>) -> String {
     let lanes: Vec<_> =
@@ -66,16 +82,21 @@ fn entity<'a>(
 ) -> TrafficFlowObserved<'a> {
     let (from, to) = (message.from, message.to);
     let (site, window_s, number) = (&message.site, message.window_s, lane.lane);
+    let unknown = Place::default();
+    let place = message.place.as_ref().unwrap_or(&unknown);
     let traffic = lane.traffic.as_ref();
     let occupancy = traffic.map_or(lane.space_occupancy, |traffic| traffic.time_occupancy);
     TrafficFlowObserved {
         id: format!("urn:ngsi-ld:TrafficFlowObserved:{}:{window_s}s:lane{number}", escaped(site)),
         r#type: "TrafficFlowObserved",
-        name: plain(site),
+        name: plain(place.name.as_deref().unwrap_or(site)),
+        location: place.position().map(point),
+        address: place.road.as_deref().map(|road| Address { street_address: plain(road) }),
+        description: place.direction.as_deref().map(plain),
         date_observed: format!("{from}/{to}"),
         date_observed_from: from,
         date_observed_to: to,
-        lane_id: number,
+        lane_id: lane.lane_order.unwrap_or(number),
         lane_direction: match lane.direction {
             Direction::Away => Some("forward"),
             Direction::Toward => Some("backward"),
@@ -122,7 +143,7 @@ fn plain(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::tests::{followed, message};
+    use crate::formats::tests::{followed, message, placed};
     use serde_json::{Value, json};
 
     #[test]
@@ -183,6 +204,17 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_place_is_a_location_and_an_address() {
+        let text = entities(&placed(message()), None);
+        let found: Value = serde_json::from_str(&text).expect("JSON");
+        assert_eq!(found[1]["location"]["type"], "Point");
+        assert_eq!(found[1]["location"]["coordinates"], json!([114.0125, 22.36251]));
+        assert_eq!(found[1]["address"]["streetAddress"], "Tuen Mun Road");
+        assert_eq!(found[1]["name"], "Siu Lam");
+        assert_eq!((&found[0]["laneId"], &found[1]["laneId"]), (&json!(1), &json!(2)));
+    }
+
     /// Attributes of the model that are used, with what its schema says of each.
     #[test]
     fn used_attributes_are_as_the_model_has_them() {
@@ -198,6 +230,13 @@ mod tests {
                     "laneId": { "type": "integer", "minimum": 1 },
                     "laneDirection": { "enum": ["forward", "backward"] },
                     "refRoadSegment": { "type": "string" },
+                    "location": { "type": "object", "required": ["type", "coordinates"],
+                        "properties": { "type": { "enum": ["Point"] },
+                            "coordinates": { "type": "array", "minItems": 2,
+                                "items": { "type": "number" } } } },
+                    "address": { "type": "object",
+                        "properties": { "streetAddress": { "type": "string" } } },
+                    "description": { "type": "string" },
                     "dateObserved": { "type": "string" },
                     "dateObservedFrom": { "type": "string", "pattern": "^[-0-9]{10}T[:.0-9]{12}Z$" },
                     "dateObservedTo": { "type": "string", "pattern": "^[-0-9]{10}T[:.0-9]{12}Z$" },
@@ -210,7 +249,8 @@ mod tests {
             }
         });
         let validator = jsonschema::validator_for(&schema).expect("a right schema");
-        let found: Value = serde_json::from_str(&entities(&followed(), None)).expect("JSON");
+        let found: Value =
+            serde_json::from_str(&entities(&placed(followed()), None)).expect("JSON");
         let errors: Vec<_> = validator.iter_errors(&found).map(|e| e.to_string()).collect();
         assert!(errors.is_empty(), "{errors:#?}");
     }

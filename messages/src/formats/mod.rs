@@ -6,7 +6,9 @@
 
 mod csv;
 mod datex2;
+mod datex2_sites;
 mod fiware;
+pub mod geojson;
 mod ntcip;
 
 use crate::{Density, Utc};
@@ -18,6 +20,10 @@ pub enum Format {
     Fiware,
     /// DATEX II v3 `MeasuredDataPublication`: one XML document.
     Datex2,
+    /// DATEX II v3 `MeasurementSiteTablePublication`: one XML document over all sites.
+    Datex2Sites,
+    /// GeoJSON features, one a lane and window and line.
+    Geojson,
     /// The values of NTCIP 1209: one JSON object a lane and window.
     Ntcip,
     /// One row a lane and window, RFC 4180.
@@ -28,13 +34,23 @@ pub enum Format {
 
 impl Format {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Fiware, Self::Datex2, Self::Ntcip, Self::Csv, Self::Json];
+    pub const ALL: [Self; 7] = [
+        Self::Fiware,
+        Self::Datex2,
+        Self::Datex2Sites,
+        Self::Geojson,
+        Self::Ntcip,
+        Self::Csv,
+        Self::Json,
+    ];
 
     /// Its name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fiware => "fiware",
             Self::Datex2 => "datex2",
+            Self::Datex2Sites => "datex2-sites",
+            Self::Geojson => "geojson",
             Self::Ntcip => "ntcip",
             Self::Csv => "csv",
             Self::Json => "json",
@@ -44,7 +60,7 @@ impl Format {
 
 /// What a format asks for that no message holds.
 #[derive(Clone, Debug, Default)]
-pub struct Place {
+pub struct Publisher {
     /// FIWARE `refRoadSegment`, an URN or address of the road segment.
     pub road_segment: Option<String>,
     /// DATEX II country of the publisher, ISO 3166-1 alpha-2.
@@ -55,38 +71,55 @@ pub struct Place {
 #[derive(Clone, Debug)]
 pub struct Exporter {
     format: Format,
-    place: Place,
+    publisher: Publisher,
 }
 
 impl Exporter {
     /// An exporter to that format.
-    pub const fn new(format: Format, place: Place) -> Self {
-        Self { format, place }
+    pub const fn new(format: Format, publisher: Publisher) -> Self {
+        Self { format, publisher }
     }
 
     /// What stands before the first message, made at `time`.
     pub fn begin(&self, time: Utc) -> Option<String> {
         match self.format {
-            Format::Datex2 => Some(datex2::begin(time, self.place.country.as_deref())),
+            Format::Datex2 => Some(datex2::begin(time, self.publisher.country.as_deref())),
+            Format::Datex2Sites => {
+                Some(datex2_sites::begin(time, self.publisher.country.as_deref()))
+            }
             Format::Csv => Some(format!("{}\r", csv::HEADER)),
-            Format::Fiware | Format::Ntcip | Format::Json => None,
+            Format::Fiware | Format::Geojson | Format::Ntcip | Format::Json => None,
         }
     }
 
+    /// Whether a site stands once in the output, with its latest message, however many it has.
+    pub fn is_of_sites(&self) -> bool {
+        self.format == Format::Datex2Sites
+    }
+
     /// One message, without the end of its last line.
-    pub fn message(&self, message: &Density) -> String {
-        match self.format {
-            Format::Fiware => fiware::entities(message, self.place.road_segment.as_deref()),
+    ///
+    /// # Errors
+    /// What the format asks for and the message lacks.
+    pub fn message(&self, message: &Density) -> Result<String, String> {
+        Ok(match self.format {
+            Format::Fiware => fiware::entities(message, self.publisher.road_segment.as_deref()),
+            Format::Datex2Sites => return datex2_sites::site(message),
+            Format::Geojson => geojson::features(message),
             Format::Datex2 => datex2::site_measurements(message),
             Format::Ntcip => ntcip::zones(message),
             Format::Csv => csv::rows(message),
             Format::Json => String::from_utf8_lossy(&crate::json(message)).into_owned(),
-        }
+        })
     }
 
     /// What stands behind the last message.
     pub fn end(&self) -> Option<String> {
-        (self.format == Format::Datex2).then(|| datex2::END.to_owned())
+        match self.format {
+            Format::Datex2 => Some(datex2::END.to_owned()),
+            Format::Datex2Sites => Some(datex2_sites::END.to_owned()),
+            Format::Fiware | Format::Geojson | Format::Ntcip | Format::Csv | Format::Json => None,
+        }
     }
 }
 
@@ -102,6 +135,8 @@ mod tests {
     pub(super) fn message() -> Density {
         let measured = Lane {
             lane: 1,
+            lane_name: None,
+            lane_order: None,
             direction: Direction::Away,
             density_veh_km: Some(24.25),
             density_se: Some(3.5),
@@ -144,6 +179,7 @@ mod tests {
         Density {
             schema: Schema::default(),
             site: "k109f \"<&>\", east".into(),
+            place: None,
             seq: 7,
             window_s: 60,
             from: Utc(1_767_600_000_000),
@@ -202,10 +238,24 @@ mod tests {
         message
     }
 
+    /// The same from a site that says where it is.
+    pub(super) fn placed(message: Density) -> Density {
+        let place = crate::Place {
+            name: Some("Siu Lam".into()),
+            road: Some("Tuen Mun Road".into()),
+            direction: Some("to Kowloon".into()),
+            latitude: Some(22.362_51),
+            longitude: Some(114.012_5),
+            bearing: Some(120.0),
+        };
+        let fast = crate::LaneName { lane: 2, name: Some("fast lane".into()), order: Some(2) };
+        message.at(&place, &[fast])
+    }
+
     #[test]
     fn flow_and_speed_come_back_as_they_were_written() {
-        let exporter = Exporter::new(Format::Json, Place::default());
-        let json = exporter.message(&followed());
+        let exporter = Exporter::new(Format::Json, Publisher::default());
+        let json = exporter.message(&followed()).expect("JSON");
         assert!(
             json.contains("\"counting_se\":3.5,\"traffic_status\":\"oK\",\"flow_veh_h\":875.5")
         );
@@ -227,11 +277,11 @@ mod tests {
 
     #[test]
     fn json_comes_back_as_the_daemon_wrote_it() {
-        let exporter = Exporter::new(Format::Json, Place::default());
-        let json = exporter.message(&message());
+        let exporter = Exporter::new(Format::Json, Publisher::default());
+        let json = exporter.message(&message()).expect("JSON");
         let read = read(json.as_bytes()).expect("our own message");
         assert_eq!(read, message());
-        assert_eq!(exporter.message(&read), json);
+        assert_eq!(exporter.message(&read), Ok(json));
         assert_eq!((exporter.begin(Utc(0)), exporter.end()), (None, None));
     }
 }

@@ -5,11 +5,12 @@ use crate::daemon::exit::Failure;
 use crate::daemon::output::WholeFile;
 use crate::messages;
 use crate::wire;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use verge_messages::Density;
-use verge_messages::formats::{Exporter, Format, Place};
+use verge_messages::formats::{Exporter, Format, Publisher};
 use verge_messages::objects::{Found, Objects, unwrapped};
 
 /// Longest line in hexadecimal that is read, bytes: many times the largest message.
@@ -22,6 +23,10 @@ enum Target {
     Fiware,
     /// DATEX II v3 `MeasuredDataPublication`: one XML document.
     Datex2,
+    /// DATEX II v3 `MeasurementSiteTablePublication`: where the sites are, one XML document.
+    Datex2Sites,
+    /// GeoJSON features, one a lane and window and line.
+    Geojson,
     /// The values of NTCIP 1209: one JSON object a lane and window.
     Ntcip,
     /// One row a lane and window, RFC 4180.
@@ -35,6 +40,8 @@ impl From<Target> for Format {
         match target {
             Target::Fiware => Self::Fiware,
             Target::Datex2 => Self::Datex2,
+            Target::Datex2Sites => Self::Datex2Sites,
+            Target::Geojson => Self::Geojson,
             Target::Ntcip => Self::Ntcip,
             Target::Csv => Self::Csv,
             Target::Json => Self::Json,
@@ -96,17 +103,25 @@ fn urn(text: &str) -> Result<String, String> {
 /// Converts every message that can be read. One that cannot is said with its line, the
 /// others are converted, and the program ends with 65.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    let place = Place { road_segment: args.road_segment.clone(), country: args.country.clone() };
-    let exporter = Exporter::new(args.to.into(), place);
+    let publisher =
+        Publisher { road_segment: args.road_segment.clone(), country: args.country.clone() };
+    let exporter = Exporter::new(args.to.into(), publisher);
     let (name, mut input) = open(args.input.as_deref())?;
     let mut output = Output::open(args.out.as_deref())?;
     exporter.begin(clock::now().into()).map_or(Ok(()), |head| output.line(&head))?;
     let broken = |source| Failure::Input { path: name.clone(), source };
+    // A table of sites has each of them once, as its latest message has it.
+    let mut sites = BTreeMap::new();
     let (mut count, mut bad) = (0, 0);
     let mut convert = |line: usize, message: Result<Density, String>| {
         count += 1;
-        match message {
-            Ok(message) => output.line(&exporter.message(&message)),
+        let text = message.and_then(|message| Ok((exporter.message(&message)?, message)));
+        match text {
+            Ok((text, message)) if exporter.is_of_sites() => {
+                sites.insert(message.site, text);
+                Ok(())
+            }
+            Ok((text, _)) => output.line(&text),
             Err(reason) => {
                 bad += 1;
                 eprintln!("verge: {}: line {line}: {reason}", name.display());
@@ -135,6 +150,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             }
         }
     }
+    sites.values().try_for_each(|site| output.line(site))?;
     exporter.end().map_or(Ok(()), |tail| output.line(&tail))?;
     output.finish()?;
     if bad > 0 { Err(Failure::Messages { bad, count }) } else { Ok(()) }

@@ -33,7 +33,7 @@ where
     let mut notify = Notify::from_environment();
     let mut board = Driven::new(board);
     let opened = Assembly::of(&config)?.open(&config)?;
-    log::info!("site {}: measuring every {:?}", config.site, config.interval());
+    log::info!("site {}: measuring every {:?}", config.site.id, config.interval());
     let mut running = Running::new(config, opened);
     let (mut next, mut ready) = (Instant::now(), false);
     let mut outcome = Ok(());

@@ -7,7 +7,6 @@ use crate::daemon::foreign::shown;
 use crate::daemon::publish::Format;
 use crate::daemon::trust::Trust;
 use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
-use crate::lane::MAX_NAME;
 
 impl Config {
     /// The first key with a wrong value, and what would be right.
@@ -15,11 +14,7 @@ impl Config {
         let known = |ok: bool, key, reason: String| if ok { Ok(()) } else { Err((key, reason)) };
         self.check_names()?;
         let plain = |text: &str| !text.is_empty() && !text.contains(['+', '#', '\0']);
-        known(
-            plain(&self.site) && self.site.len() <= MAX_NAME && !self.site.contains('/'),
-            "site",
-            format!("{:?}: give 1 to {MAX_NAME} bytes without / + #", self.site),
-        )?;
+        self.site.check()?;
         known(
             self.mqtt.root.as_deref().is_none_or(plain),
             "mqtt.root",
@@ -136,7 +131,7 @@ impl Config {
             return Err(("mqtt.host", format!("{:?}: {what}", shown(&self.mqtt.host))));
         }
         let root = self.mqtt.root.as_deref().unwrap_or_default();
-        for (key, text) in [("site", self.site.as_str()), ("mqtt.root", root)] {
+        for (key, text) in [("site", self.site.id.as_str()), ("mqtt.root", root)] {
             let what = if text.contains("${") || text.contains("{{") {
                 "a placeholder that nobody has filled in"
             } else if text.trim() != text || text.chars().any(char::is_control) {

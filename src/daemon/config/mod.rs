@@ -7,16 +7,19 @@ mod check;
 mod secrets;
 mod sections;
 mod signed;
+mod site;
 
 pub use sections::{
     Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Traffic,
     Views, Windows,
 };
+pub use site::Site;
 
 use crate::daemon::address::{Address, AddressError, veiled};
 use crate::daemon::publish::TlsFiles;
 use crate::daemon::serial::SerialSettings;
 use crate::daemon::trust::Trust;
+use crate::lane::MAX_NAME;
 use secrets::{private, secret};
 use serde::Deserialize;
 use signed::Trusted;
@@ -84,8 +87,8 @@ pub enum ConfigError {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// Name of the site, in topics and messages.
-    pub site: String,
+    /// Name of the site, in topics and messages, and where it is.
+    pub site: Site,
     /// Where pictures come from.
     pub camera: Camera,
     /// What finds vehicles.
@@ -223,7 +226,7 @@ impl Config {
 
     /// Topic under which this site's topics stand.
     pub fn root_topic(&self) -> String {
-        self.mqtt.root.clone().unwrap_or_else(|| format!("verge/{}", self.site))
+        self.mqtt.root.clone().unwrap_or_else(|| format!("verge/{}", self.site.id))
     }
 
     /// Time between two pictures.

@@ -211,6 +211,8 @@ pub struct Mqtt {
     pub version: crate::daemon::publish::MqttVersion,
     /// Most windows of an outage that are sent later, a second.
     pub replay_per_s: f64,
+    /// Whether the broker keeps the latest live window of each length on `latest/<window>`.
+    pub latest: bool,
 }
 
 impl Default for Mqtt {
@@ -230,6 +232,7 @@ impl Default for Mqtt {
             keep_alive_s: 30,
             version: crate::daemon::publish::MqttVersion::Auto,
             replay_per_s: 10.0,
+            latest: true,
         }
     }
 }

@@ -5,6 +5,7 @@
 //! and one `binary_sensor` for the connection. Home
 //! Assistant reads the daemon's own topics; nothing else is published for it.
 
+use crate::daemon::config::Site;
 use crate::lane::Lane;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -46,18 +47,20 @@ pub struct Announcement {
 /// flow and speed where it `follows` vehicles.
 pub fn announcements(
     prefix: &str,
-    site: &str,
+    site: &Site,
     root: &str,
     lanes: &[Lane],
     windows: &[Duration],
     follows: bool,
 ) -> Vec<Announcement> {
-    let id = device_id(site);
+    let id = device_id(&site.id);
+    let place = site.place.as_ref();
+    let name = place.and_then(|place| place.name.as_deref()).unwrap_or(&site.id);
     let presence = Topic::Presence.under(root);
-    let common = json!({
+    let mut common = json!({
         "device": {
             "identifiers": [id],
-            "name": site,
+            "name": name,
             "manufacturer": "verge",
             "model": "traffic density sensor",
             "sw_version": env!("CARGO_PKG_VERSION"),
@@ -65,6 +68,9 @@ pub fn announcements(
         "origin": { "name": "verge", "sw_version": env!("CARGO_PKG_VERSION") },
         "qos": 1,
     });
+    if let Some(road) = place.and_then(|place| place.road.as_deref()) {
+        common["device"]["suggested_area"] = road.into();
+    }
     let announce = |component: &str, object: &str, own: Value| {
         let mut payload = common.clone();
         payload["unique_id"] = format!("{id}_{object}").into();
@@ -89,10 +95,13 @@ pub fn announcements(
     let Some(window) = windows.iter().min() else { return messages };
     for lane in lanes {
         let number = lane.id.get();
+        let known = site.lanes.iter().find(|known| known.lane == number);
+        let called =
+            known.and_then(|known| known.name.clone()).unwrap_or_else(|| format!("Lane {number}"));
         let of_lane = format!("value_json.lanes | selectattr('lane', 'eq', {number})");
         let topic = Topic::Density(*window).under(root);
         let density = json!({
-            "name": format!("Lane {number} density"),
+            "name": format!("{called} density"),
             "state_topic": topic,
             "value_template":
                 format!("{{{{ {of_lane} | map(attribute='density_veh_km') | first }}}}"),
@@ -115,7 +124,7 @@ pub fn announcements(
         ];
         for (name, field, unit, decimals, icon) in moving.into_iter().filter(|_| follows) {
             let mut sensor = density.clone();
-            sensor["name"] = format!("Lane {number} {name}").into();
+            sensor["name"] = format!("{called} {name}").into();
             sensor["value_template"] =
                 format!("{{{{ {of_lane} | map(attribute='{field}') | first }}}}").into();
             sensor["unit_of_measurement"] = unit.into();
@@ -206,7 +215,8 @@ mod tests {
         };
         let windows = [900, 60].map(Duration::from_secs);
         let lanes = [lane(1), lane(2)];
-        announcements("homeassistant", "k 109/f", "verge/k109f", &lanes, &windows, follows)
+        let site = Site { id: "k 109/f".into(), ..Site::default() };
+        announcements("homeassistant", &site, "verge/k109f", &lanes, &windows, follows)
     }
 
     #[test]
@@ -287,6 +297,30 @@ mod tests {
             assert_eq!(payload["device"]["identifiers"][0], id());
             assert!(ids.insert(payload["unique_id"].to_string()), "{payload:#}");
         }
+    }
+
+    #[test]
+    fn a_place_names_device_and_lanes() {
+        let lane = Lane {
+            id: LaneId::new(2).expect("in range"),
+            direction: Direction::Away,
+            length_m: 1.0,
+        };
+        let place = verge_messages::Place {
+            name: Some("Siu Lam".into()),
+            road: Some("Tuen Mun Road".into()),
+            ..Default::default()
+        };
+        let fast =
+            verge_messages::LaneName { lane: 2, name: Some("Fast lane".into()), order: None };
+        let site = Site { id: "k".into(), place: Some(place), lanes: vec![fast] };
+        let windows = [Duration::from_secs(60)];
+        let all = announcements("homeassistant", &site, "verge/k", &[lane], &windows, false);
+        let payload: Value = serde_json::from_slice(&all[1].payload).expect("JSON");
+        assert_eq!(payload["device"]["name"], "Siu Lam");
+        assert_eq!(payload["device"]["suggested_area"], "Tuen Mun Road");
+        assert_eq!(payload["device"]["identifiers"][0], "verge_k", "an id stays");
+        assert_eq!(payload["name"], "Fast lane density");
     }
 
     #[test]

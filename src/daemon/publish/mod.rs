@@ -48,12 +48,25 @@ pub enum Format {
 pub struct Identity {
     site: Name,
     model: ModelRef,
+    located: Option<payload::Located>,
 }
 
 impl Identity {
     /// The identity of a site that measures with this model.
     pub fn new(site: &str, model: &ModelRef) -> Self {
-        Self { site: Name::truncated(site), model: model.clone() }
+        Self { site: Name::truncated(site), model: model.clone(), located: None }
+    }
+
+    /// The same of a site that says where it is, or does not.
+    #[must_use]
+    pub fn at(mut self, located: Option<payload::Located>) -> Self {
+        self.located = located;
+        self
+    }
+
+    /// Where the site is.
+    pub const fn located(&self) -> Option<&payload::Located> {
+        self.located.as_ref()
     }
 
     /// The message of a window with its number.
@@ -97,6 +110,10 @@ pub enum Delivery {
 pub struct Publisher {
     root: String,
     format: Format,
+    /// Where the site is; JSON messages carry it.
+    located: Option<payload::Located>,
+    /// Whether the broker keeps the latest live window of each length.
+    keeps_latest: bool,
     connection: Connection,
     /// The open session, as far as its reports were read.
     session: Option<u64>,
@@ -114,6 +131,8 @@ impl Publisher {
         Self {
             root: settings.root.clone(),
             format,
+            located: None,
+            keeps_latest: settings.keeps_latest,
             replay_per_s: settings.replay_per_s,
             tls: settings.tls.clone(),
             connection: Connection::start(settings),
@@ -130,10 +149,16 @@ impl Publisher {
         self.root = settings.root.clone();
         self.format = format;
         self.replay_per_s = settings.replay_per_s;
+        self.keeps_latest = settings.keeps_latest;
         if self.tls != settings.tls {
             self.tls = settings.tls.clone();
         }
         self.connection.change(settings, DRAIN);
+    }
+
+    /// From here on messages say that the site is there.
+    pub fn locate(&mut self, located: Option<payload::Located>) {
+        self.located = located;
     }
 
     /// Whether a session is open.
@@ -149,6 +174,9 @@ impl Publisher {
         self.live.insert(key);
         let topic = Topic::Density(length(message)).under(&self.root);
         let payload = self.payload(message, None);
+        if self.keeps_latest {
+            self.state(Topic::Latest(length(message)), payload.clone());
+        }
         self.connection.window(session, key, true, Message { topic, payload, retain: false });
         true
     }
@@ -262,7 +290,10 @@ impl Publisher {
 
     fn payload(&self, message: &DensityMessage, done: Option<bool>) -> Vec<u8> {
         match self.format {
-            Format::Json => payload::density(message, done),
+            Format::Json => match &self.located {
+                Some(located) => payload::density_at(message, done, located),
+                None => payload::density(message, done),
+            },
             Format::Postcard => {
                 let mut buffer = [0; MAX_MESSAGE];
                 let bytes = wire::encode(message, &mut buffer);

@@ -19,3 +19,18 @@ pub fn status_name(status: SampleZoneStatus) -> &'static str {
 pub fn density(message: &DensityMessage, done: Option<bool>) -> Vec<u8> {
     verge_messages::json(&messages::density(message, done))
 }
+
+/// The same from a site that says where it is.
+pub fn density_at(message: &DensityMessage, done: Option<bool>, at: &Located) -> Vec<u8> {
+    let Located { place, lanes } = at;
+    verge_messages::json(&messages::density(message, done).at(place, lanes))
+}
+
+/// Where a site is, and what its lanes are called.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Located {
+    /// Where it is.
+    pub place: verge_messages::Place,
+    /// Its lanes.
+    pub lanes: Vec<verge_messages::LaneName>,
+}

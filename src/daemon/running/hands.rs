@@ -46,7 +46,7 @@ impl Hands {
     /// Hands that publish as the configuration says.
     pub fn new(config: &Config, line: &Line, outlet: Outlet) -> Self {
         Self {
-            site: config.site.clone(),
+            site: config.site.id.clone(),
             outlet,
             metrics: config.metrics.file.as_deref().map(Metrics::new),
             announcements: announcements(config, line),

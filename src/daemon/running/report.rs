@@ -38,7 +38,7 @@ impl Running {
         let line = self.station.line();
         let health = payload::Health {
             schema: payload::Schema::default(),
-            site: self.config.site.clone(),
+            site: self.config.site.id.clone(),
             time: clock::now().into(),
             version: env!("CARGO_PKG_VERSION").into(),
             status: actions.status.into(),

@@ -58,7 +58,7 @@ fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
         format!(
             "{}: site {}, windows {:?} s, read {}",
             path.display(),
-            config.site,
+            config.site.id,
             config.windows.lengths_s,
             folders::who()
         )

@@ -66,6 +66,8 @@ pub struct MqttSettings {
     pub keep_alive: Duration,
     /// Most windows of an outage that are sent later, a second.
     pub replay_per_s: f64,
+    /// Whether the broker keeps the latest live window of each length (`latest/<window>`).
+    pub keeps_latest: bool,
 }
 
 impl MqttSettings {
@@ -81,6 +83,7 @@ impl MqttSettings {
             root: root.into(),
             keep_alive: Duration::from_secs(30),
             replay_per_s: 10.0,
+            keeps_latest: false,
         }
     }
 

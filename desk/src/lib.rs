@@ -1,11 +1,14 @@
 //! What every program at a desk needs: failures with an exit code, a `main`, files that are
-//! there whole or not at all, reading with a path in the error, tests that say they skip.
+//! there whole or not at all, reading with a path in the error, manual pages, tests that say
+//! they skip, and generated pages of the handbook.
 //!
 //! Owns the failures that all programs share ([`Failure`]) and the meaning of the exit codes
 //! ([`sysexits`]). A program adds its own failures in an enum around [`Failure`] and gives each
 //! a code by [`Exit`]. Knows nothing of cameras, messages or density.
 
 mod failure;
+mod generated;
+pub mod manual;
 mod program;
 mod read;
 mod skip;
@@ -14,6 +17,7 @@ mod whole;
 mod whole_folder;
 
 pub use failure::Failure;
+pub use generated::hold;
 pub use program::{Exit, print, run_main};
 pub use read::{read_bytes, read_text, text};
 pub use skip::{shared, skip};

@@ -1,6 +1,9 @@
 //! `verge-detector`: the commands and their arguments.
 
-use clap::{Parser, Subcommand};
+mod manual;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use verge_detector::{check, eval, mix};
 
@@ -20,6 +23,12 @@ enum Command {
     Eval(eval::Arguments),
     /// What verge makes of a model file: head, cost, what runs where; and a sidecar to start from.
     Check(check::Arguments),
+    /// Write the manual pages into a folder, for packages.
+    #[command(hide = true)]
+    Man {
+        /// The folder.
+        folder: PathBuf,
+    },
 }
 
 fn main() -> ExitCode {
@@ -27,5 +36,6 @@ fn main() -> ExitCode {
         Command::Mix(arguments) => mix::run(&arguments),
         Command::Eval(arguments) => Ok(eval::run(&arguments)?),
         Command::Check(arguments) => Ok(check::run(&arguments)?),
+        Command::Man { folder } => Ok(manual::write(Arguments::command(), &folder)?),
     })
 }

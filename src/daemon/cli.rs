@@ -2,9 +2,9 @@
 
 use super::commands;
 use super::exit::Failure;
+use super::manual;
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use clap::{CommandFactory, Parser, Subcommand};
-use std::io::Write;
 use std::path::PathBuf;
 
 /// A traffic camera as a calibrated sensor of density, lane by lane.
@@ -55,9 +55,12 @@ enum Command {
     Node(commands::node::Args),
     /// Time every stage; prints JSON
     Bench(commands::bench::Args),
-    /// Print the manual page, for packages
+    /// Write the manual pages into a folder, for packages
     #[command(hide = true)]
-    Man,
+    Man {
+        /// The folder
+        folder: PathBuf,
+    },
     /// Play a recording through the whole line to an MQTT client, all in this process
     #[cfg(feature = "demo")]
     Demo,
@@ -94,24 +97,8 @@ where
         Command::Convert(args) => commands::convert::run(&args),
         Command::Node(args) => commands::node::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
-        Command::Man => manual(),
+        Command::Man { folder } => manual::write(Cli::command(), &folder),
         #[cfg(feature = "demo")]
         Command::Demo => commands::demo::run(),
     }
-}
-
-/// Prints the manual page of the program and its commands, in roff.
-fn manual() -> Result<(), Failure> {
-    let failed = |source| Failure::Write { path: "standard output".into(), source };
-    let mut out = std::io::stdout();
-    let program = Cli::command();
-    let page = clap_mangen::Man::new(program.clone());
-    page.render(&mut out).map_err(failed)?;
-    for command in program.get_subcommands().filter(|command| !command.is_hide_set()) {
-        let page = clap_mangen::Man::new(command.clone().disable_help_flag(true));
-        writeln!(out, ".SH \"VERGE {}\"", command.get_name().to_uppercase()).map_err(failed)?;
-        page.render_description_section(&mut out).map_err(failed)?;
-        page.render_options_section(&mut out).map_err(failed)?;
-    }
-    Ok(())
 }

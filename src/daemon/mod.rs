@@ -28,6 +28,7 @@ pub mod foreign;
 pub mod frame;
 pub mod line;
 pub mod locate;
+mod manual;
 pub mod metrics;
 mod notify;
 pub mod outlet;

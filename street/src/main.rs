@@ -2,11 +2,13 @@
 //!
 //! Owns the command line; all work is in the library.
 
+mod manual;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use street::error::Result;
 use street::recording::{self, Recorder};
 use street::scene::Scene;
@@ -64,6 +66,12 @@ enum Command {
         #[arg(long, value_name = "KEY=VALUE")]
         set: Vec<String>,
     },
+    /// Write the manual pages into a folder, for packages.
+    #[command(hide = true)]
+    Man {
+        /// The folder.
+        folder: PathBuf,
+    },
 }
 
 fn main() -> ExitCode {
@@ -76,6 +84,7 @@ fn main() -> ExitCode {
         Command::Bench { scene, frames, seed, set } => {
             Scene::read(&scene, &set).and_then(|scene| bench(&scene, frames, seed))
         }
+        Command::Man { folder } => Ok(manual::write(Cli::command(), &folder)?),
     })
 }
 

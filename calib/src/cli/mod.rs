@@ -6,11 +6,12 @@
 mod calibrate;
 mod compare;
 mod desk;
+mod manual;
 mod report;
 mod table;
 mod verify;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use mvcalib::error::Result;
 use mvcalib::files::calibration::Calibration;
 use std::path::PathBuf;
@@ -39,6 +40,12 @@ pub enum Command {
     Table(table::Arguments),
     /// Do all of it by hand on a page in the browser, on this machine alone.
     Desk(desk::Arguments),
+    /// Write the manual pages into a folder, for packages.
+    #[command(hide = true)]
+    Man {
+        /// The folder.
+        folder: PathBuf,
+    },
 }
 
 /// Runs one command.
@@ -50,6 +57,7 @@ pub fn run(command: Command) -> Result<()> {
         Command::Report(arguments) => report::run(&arguments),
         Command::Table(arguments) => table::run(&arguments),
         Command::Desk(arguments) => desk::run(&arguments),
+        Command::Man { folder } => Ok(manual::write(Cli::command(), &folder)?),
     }
 }
 

@@ -6,7 +6,7 @@
 use super::playback::{Played, play};
 use super::recording;
 use crate::daemon::assemble::open_recording;
-use crate::daemon::config::DEFAULT_MODEL;
+use crate::daemon::config::{DEFAULT_MODEL, found_model};
 use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::outlet::Outlet;
@@ -14,6 +14,7 @@ use crate::daemon::presets::WindowSettings;
 use crate::daemon::publish::loopback::{self, Subscriber};
 use crate::daemon::publish::{Format, Identity, MqttSettings};
 use serde_json::Value;
+use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -26,7 +27,8 @@ const ROOT: &str = "verge/demo";
 pub fn run() -> Result<(), Failure> {
     let started = Instant::now();
     let recording = recording::find()?;
-    let settings = LineSettings::recorded(recording.table.as_ref(), DEFAULT_MODEL.as_ref());
+    let model = found_model(Path::new(""), DEFAULT_MODEL.as_ref());
+    let settings = LineSettings::recorded(recording.table.as_ref(), &model);
     let windows = WindowSettings::recorded(WINDOW);
     let (recorded, mut line, windows) =
         open_recording(&settings, &windows, recording.frames.as_ref(), None, 0)?;

@@ -18,14 +18,15 @@ pub mod replay;
 pub mod run;
 mod text;
 
-use super::config::{DEFAULT_MODEL, NetInput};
-use std::path::PathBuf;
+use super::config::{DEFAULT_MODEL, NetInput, found_model};
+use std::convert::Infallible;
+use std::path::{Path, PathBuf};
 
 /// Which model to use.
 #[derive(Debug, clap::Args)]
 pub struct ModelArgs {
     /// Model (.onnx) or its sidecar (.toml)
-    #[arg(long, value_name = "FILE", default_value = DEFAULT_MODEL)]
+    #[arg(long, value_name = "FILE", default_value = DEFAULT_MODEL, value_parser = model_file)]
     model: PathBuf,
     /// Least score that counts, 0 to 1 [default: the sidecar's]
     #[arg(long, value_name = "SCORE")]
@@ -33,4 +34,8 @@ pub struct ModelArgs {
     /// The net's input: auto, as the size of the cars asks for, or columns and rows such as 800x608
     #[arg(long, value_name = "auto|WxH", default_value = "auto")]
     input: NetInput,
+}
+
+fn model_file(named: &str) -> Result<PathBuf, Infallible> {
+    Ok(found_model(Path::new(""), Path::new(named)))
 }

@@ -11,7 +11,7 @@ mod site;
 
 pub use sections::{
     Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Traffic,
-    Views, Windows,
+    Views, Windows, found_model,
 };
 pub use site::Site;
 
@@ -260,7 +260,7 @@ impl Config {
 
     fn resolve(&mut self, folder: &Path) {
         let absolute = |path: &mut PathBuf| *path = folder.join(&*path);
-        absolute(&mut self.model.file);
+        self.model.file = found_model(folder, &self.model.file);
         absolute(&mut self.lane_table.file);
         self.lane_table.presets.iter_mut().for_each(absolute);
         self.lane_table.audit.as_mut().map(absolute);

@@ -4,11 +4,13 @@
 // A message with everything in it is one `json!`.
 #![recursion_limit = "256"]
 
+mod reference;
+
 use serde_json::{Value, json};
 use std::fs;
 use std::path::PathBuf;
 use verge_messages::asyncapi::documents;
-use verge_messages::{Alarm, Density, Status, read};
+use verge_messages::{Alarm, Density, read};
 
 fn docs(path: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/reference").join(path)
@@ -30,20 +32,21 @@ fn the_files_are_those_of_the_types() {
 }
 
 #[test]
-fn alarms_and_statuses_stand_in_the_documents() {
-    for path in ["../../README.md", "../explanation/health.md"] {
-        let text = fs::read_to_string(docs(path)).expect("it ships");
-        for alarm in Alarm::ALL {
-            assert!(
-                text.contains(&format!("`{}`", alarm.name())),
-                "docs/reference/{path} has no {alarm:?}"
-            );
+fn each_alarm_has_its_section_and_no_other() {
+    let text = fs::read_to_string(docs("alarms.md")).expect("it ships");
+    let described: Vec<&str> =
+        text.lines().filter_map(|line| line.strip_prefix("## `")?.strip_suffix('`')).collect();
+    assert_eq!(described, Alarm::ALL.map(Alarm::name), "docs/reference/alarms.md");
+    for section in text.split("\n## ").skip(1) {
+        for part in ["- **Raised**", "- **Cause**", "- **Cure**", "- **Over**"] {
+            assert!(section.contains(part), "no {part} in {section}");
         }
     }
-    let text = fs::read_to_string(docs("../../README.md")).expect("it ships");
-    for status in Status::ALL {
-        assert!(text.contains(&format!("`{}`", status.name())), "README.md has no {status:?}");
-    }
+}
+
+#[test]
+fn the_reference_is_that_of_the_types() {
+    verge_desk::hold("messages.md", &reference::page());
 }
 
 /// A message with everything in it.

@@ -1,0 +1,6 @@
+//! Holds the documents to themselves and to the reference that is generated from the code.
+
+mod blocks;
+mod links;
+mod names;
+mod pages;

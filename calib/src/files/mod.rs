@@ -6,3 +6,4 @@ pub mod calibration;
 pub mod labelme;
 pub mod registration;
 pub mod road_cues;
+pub mod stated;

@@ -20,7 +20,7 @@ pub mod untold;
 
 use crate::camera::Camera;
 use crate::error::Result;
-use crate::files::calibration::Uncertainty;
+use crate::files::stated::Uncertainty;
 use crate::problem::Problem;
 use crate::road::{self, fit::Labelled, length_error::UncertainCamera};
 use cues::RoadCues;

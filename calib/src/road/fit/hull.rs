@@ -1,15 +1,13 @@
 //! The box that a body on the road would show.
 //!
-//! Owns projecting a hull and standing it where a box's lower edge says. Does not own which
-//! bodies there are (see `bodies`) nor what is done with the misfit (see `traffic`).
+//! Owns projecting a hull, standing it where a box's lower edge says, and which of its points bound
+//! the box. Does not own which bodies there are (see `bodies`) nor what is done with the misfit
+//! (see `traffic`).
 
 use super::bodies::Body;
 use super::view::View;
 use nalgebra::{Vector2, Vector3};
 
-/// Times that the hull is moved so that its lower edge meets the box's: what one leaves is
-/// below 0.1 px for a car.
-const MOVES: usize = 1;
 /// Where the middle of the lower edge lies on the body, as a part of the length: the first
 /// guess of the move.
 const FOOT: f64 = 0.42;
@@ -25,36 +23,108 @@ pub struct Footing {
     pub toward: bool,
 }
 
+/// The points of a hull that bound its box: left, right, top and low. Near a camera for which they
+/// were found they stay the same, so that derivatives need no others.
+type Bounding = [usize; 4];
+
+/// The bounding points where the hull stands at first, and where it was moved to.
+#[derive(Clone, Copy, Debug)]
+pub struct Support {
+    first: Bounding,
+    moved: Bounding,
+}
+
+/// A body of one size on the road.
+struct Standing<'a> {
+    view: &'a View,
+    body: &'a Body,
+    /// Width, length, height, m.
+    size: [f64; 3],
+    towards_rear: Vector2<f64>,
+    across: Vector2<f64>,
+}
+
+impl Standing<'_> {
+    fn project(&self, middle: Vector2<f64>, index: usize) -> Vector2<f64> {
+        let [width, length, height] = self.size;
+        let [along, half, up] = self.body.points[index / 2];
+        let aside = if index.is_multiple_of(2) { 0.5 } else { -0.5 } * half * width;
+        let p = middle + self.towards_rear * ((along - 0.5) * length) + self.across * aside;
+        self.view.project(Vector3::new(p.x, p.y, up * height))
+    }
+
+    /// Left, right, top and low of all points, px, and which they are.
+    fn bounds(&self, middle: Vector2<f64>) -> ([f64; 4], Bounding) {
+        let mut edge = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+        let mut bounding = [0; 4];
+        for index in 0..2 * self.body.points.len() {
+            let uv = self.project(middle, index);
+            let further = [uv.x < edge[0], uv.x > edge[1], uv.y < edge[2], uv.y > edge[3]];
+            for (k, value) in [uv.x, uv.x, uv.y, uv.y].into_iter().enumerate() {
+                if further[k] {
+                    (edge[k], bounding[k]) = (value, index);
+                }
+            }
+        }
+        (edge, bounding)
+    }
+
+    /// The same of points that are known to bound it.
+    fn bounds_by(&self, middle: Vector2<f64>, bounding: &Bounding) -> [f64; 4] {
+        let [left, right, top, low] = bounding.map(|index| self.project(middle, index));
+        [left.x, right.x, top.y, low.y]
+    }
+
+    /// Moves the hull so that its lower edge meets the footing: what is left after one move is
+    /// below 0.1 px for a car.
+    fn onto(&self, footing: &Footing, middle: Vector2<f64>, at: &[f64; 4]) -> Option<Vector2<f64>> {
+        let foot = self.view.ground(Vector2::new(0.5 * (at[0] + at[1]), at[3]))?;
+        Some(middle + footing.ground - foot)
+    }
+}
+
+fn standing<'a>(
+    view: &'a View,
+    footing: &Footing,
+    body: &'a Body,
+    log_size: [f64; 3],
+) -> (Standing<'a>, Vector2<f64>) {
+    let size = log_size.map(f64::exp);
+    let towards_rear = if footing.toward { footing.away } else { -footing.away };
+    let across = Vector2::new(towards_rear.y, -towards_rear.x);
+    let middle = footing.ground + footing.away * (FOOT * size[1]);
+    (Standing { view, body, size, towards_rear, across }, middle)
+}
+
+fn log_of([left, right, top, low]: [f64; 4]) -> [f64; 2] {
+    [(right - left).ln(), (low - top).max(1e-3).ln()]
+}
+
 /// Logarithms of the width and the height (px) of the box of a body with these logarithms of
 /// width, length and height (m), standing so that the middle of its box's lower edge is the
-/// footing. `None` above the horizon.
+/// footing; and the points that bound it. `None` above the horizon.
 pub fn log_box(
     view: &View,
     footing: &Footing,
     body: &Body,
     log_size: [f64; 3],
+) -> Option<([f64; 2], Support)> {
+    let (standing, middle) = standing(view, footing, body, log_size);
+    let (edges, first) = standing.bounds(middle);
+    let (edges, moved) = standing.bounds(standing.onto(footing, middle, &edges)?);
+    Some((log_of(edges), Support { first, moved }))
+}
+
+/// The same for a camera or a size close to that for which the bounding points were found.
+pub fn log_box_by(
+    view: &View,
+    footing: &Footing,
+    body: &Body,
+    log_size: [f64; 3],
+    support: &Support,
 ) -> Option<[f64; 2]> {
-    let [width, length, height] = log_size.map(f64::exp);
-    let towards_rear = if footing.toward { footing.away } else { -footing.away };
-    let across = Vector2::new(towards_rear.y, -towards_rear.x);
-    let mut middle = footing.ground + footing.away * (FOOT * length);
-    let mut moves = 0;
-    loop {
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for &[along, half, up] in body.points {
-            let on_axis = middle + towards_rear * ((along - 0.5) * length);
-            let aside = across * (0.5 * half * width);
-            for p in [on_axis + aside, on_axis - aside] {
-                let uv = view.project(Vector3::new(p.x, p.y, up * height));
-                low = [low[0].min(uv.x), low[1].min(uv.y)];
-                high = [high[0].max(uv.x), high[1].max(uv.y)];
-            }
-        }
-        if moves == MOVES {
-            return Some([(high[0] - low[0]).ln(), (high[1] - low[1]).max(1e-3).ln()]);
-        }
-        let foot = view.ground(Vector2::new(0.5 * (low[0] + high[0]), high[1]))?;
-        middle += footing.ground - foot;
-        moves += 1;
-    }
+    let (standing, middle) = standing(view, footing, body, log_size);
+    let edges = standing.bounds_by(middle, &support.first);
+    let moved = standing.onto(footing, middle, &edges)?;
+    Some(log_of(standing.bounds_by(moved, &support.moved)))
 }

@@ -32,6 +32,9 @@ mod cues;
 mod hull;
 mod lanes;
 mod marks;
+mod mixture;
+mod prior;
+mod problem;
 mod solve;
 mod traffic;
 mod view;
@@ -41,12 +44,14 @@ pub use traffic::MAX_BOXES;
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::files::calibration::{Calibration, StatedError, StatedErrors, Uncertainty};
+use crate::files::calibration::Calibration;
+use crate::files::stated::{StatedError, StatedErrors, Uncertainty};
 use crate::road::length_error::{CameraCovariance, LengthError, UncertainCamera};
 use crate::trust::{self, Reason, Trust};
 use lanes::OnRoad;
 use nalgebra::{Matrix6, Vector2, Vector3};
-use solve::{Optimum, Problem};
+use problem::Problem;
+use solve::Optimum;
 use view::{CAMERA, DISTORTION, LOG_F, View, camera, k1};
 
 /// The name of the method in calibration files.

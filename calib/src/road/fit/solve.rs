@@ -1,37 +1,16 @@
 //! The minimisation: Levenberg-Marquardt over all cues, from several focal lengths, with
 //! the mixture of the traffic updated outside.
 //!
-//! Owns priors, starts, steps and the curvature at the optimum. Does not own the cues'
-//! residuals nor what is made of the result (see the chapter's `mod`).
+//! Owns starts, steps and the curvature at the optimum. Does not own priors and residuals (see
+//! `prior`, `problem`) nor what is made of the result (see the chapter's `mod`).
 
-use super::cues::{CREST_SD, Cues, DISTORTION_SD, LANE_EACH_M, LANE_WIDTH_M, STATED_WIDTH_SD_M};
-use super::lanes::{self, OnRoad};
 use super::marks;
-use super::traffic::{Mixture, SHARED, SHARED_SD, Shared, Traffic};
-use super::view::{CAMERA, DISTORTION, LOG_F, LOG_HEIGHT, STEP, TILT, Unknowns, View};
-use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2};
+use super::mixture::Mixture;
+use super::problem::{ALL, Information, Problem, Theta, camera_of, shared_of};
+use super::traffic::{SHARED_SD, Shared, Traffic};
+use super::view::{CAMERA, DISTORTION, LOG_F, LOG_HEIGHT, TILT, Unknowns};
+use nalgebra::{SMatrix, Vector2};
 
-/// All unknowns: the camera, and what boxes share.
-pub const ALL: usize = CAMERA + SHARED;
-/// All unknowns as one vector.
-pub type Theta = SVector<f64, ALL>;
-/// Square information on all unknowns.
-pub type Information = SMatrix<f64, ALL, ALL>;
-
-/// Focal length before any cue: 1.1 widths within a factor 1.8.
-const FOCAL_WIDTHS: f64 = 1.1;
-/// Standard deviation of the logarithms of focal length and height.
-const FACTOR_SD: f64 = 0.6;
-/// Height of the camera before any cue, m.
-const HEIGHT_M: f64 = 12.0;
-/// Standard deviation of a stated height, as a part of it: a mast on a bank, a sagging arm.
-const STATED_HEIGHT_SD: f64 = 0.03;
-/// Tilt before any cue, rad, and its standard deviation.
-const TILT_PRIOR: [f64; 2] = [0.35, 0.5];
-/// Standard deviation of the roll, rad.
-const ROLL_SD: f64 = 3.0 * std::f64::consts::PI / 180.0;
-/// Distortion before any cue: lenses of traffic cameras are a little barrel-shaped.
-const DISTORTION_MEAN: f64 = -0.02;
 /// Focal lengths to start from, widths.
 const STARTS: [f64; 4] = [0.7, 1.1, 1.7, 2.6];
 /// Most that one step may change each of the camera's unknowns.
@@ -43,58 +22,6 @@ const DISTORTION_RANGE: [f64; 2] = [-0.25, 0.15];
 const HUBER: f64 = 3.0;
 /// A start needs the topmost cue this far below its horizon, rad.
 const BELOW_HORIZON: f64 = 0.02;
-
-/// Normal prior on the camera's unknowns.
-#[derive(Clone, Debug)]
-pub struct Prior {
-    mean: Unknowns,
-    /// Upper factor of the information: residuals are `root * (unknowns - mean)`.
-    root: SMatrix<f64, CAMERA, CAMERA>,
-}
-
-impl Prior {
-    /// What a camera over a road may be, and what the cues state of it.
-    pub fn of(cues: &Cues, image_size: [u32; 2]) -> Option<Self> {
-        let width = f64::from(image_size[0]);
-        let height = cues.height_m.unwrap_or(HEIGHT_M);
-        let mut mean = Unknowns::zeros();
-        mean[LOG_F] = (FOCAL_WIDTHS * width).ln();
-        mean[TILT] = TILT_PRIOR[0];
-        mean[LOG_HEIGHT] = height.ln();
-        mean[DISTORTION] = DISTORTION_MEAN;
-        let height_sd = if cues.height_m.is_some() { STATED_HEIGHT_SD } else { FACTOR_SD };
-        let sd = [FACTOR_SD, TILT_PRIOR[1], ROLL_SD, height_sd, DISTORTION_SD, CREST_SD];
-        let own = SMatrix::from_diagonal(&Unknowns::from(sd).map(|s| 1.0 / s));
-        let Some(labelled) = &cues.labelled else {
-            return Some(Prior { mean, root: own });
-        };
-        // What labelled vehicles say takes the prior's place, but for a stated height.
-        let mut information = labelled.covariance.try_inverse()?;
-        let mut weighted = information * labelled.mean;
-        if cues.height_m.is_some() {
-            let stated = STATED_HEIGHT_SD.powi(-2);
-            information[(LOG_HEIGHT, LOG_HEIGHT)] += stated;
-            weighted[LOG_HEIGHT] += stated * height.ln();
-        }
-        let factor = information.cholesky()?;
-        Some(Prior { mean: factor.solve(&weighted), root: factor.l().transpose() })
-    }
-}
-
-/// Everything that is held while the unknowns move.
-pub struct Problem<'a> {
-    cues: &'a Cues,
-    image_size: [u32; 2],
-    prior: Prior,
-    traffic: Traffic,
-    mark_white: Vec<DMatrix<f64>>,
-    mark_weight: Vec<f64>,
-    rectangle_white: Vec<DMatrix<f64>>,
-    lane_held: Vec<Option<lanes::Held>>,
-    width_white: DMatrix<f64>,
-    /// Steps taken, evaluations of all residuals.
-    pub evaluations: usize,
-}
 
 /// The unknowns at an optimum.
 #[derive(Clone, Debug)]
@@ -109,171 +36,7 @@ pub struct Optimum {
     pub mixture: Option<Mixture>,
 }
 
-fn camera_of(theta: &Theta) -> Unknowns {
-    theta.fixed_rows::<CAMERA>(0).into_owned()
-}
-
-fn shared_of(theta: &Theta) -> Shared {
-    theta.fixed_rows::<SHARED>(CAMERA).into_owned()
-}
-
-impl<'a> Problem<'a> {
-    /// The cues over pictures of this size; `None` where labelled vehicles leave the camera
-    /// open.
-    pub fn new(cues: &'a Cues, image_size: [u32; 2]) -> Option<Self> {
-        Some(Problem {
-            prior: Prior::of(cues, image_size)?,
-            traffic: Traffic::choose(&cues.boxes, &cues.lanes, image_size),
-            cues,
-            image_size,
-            mark_white: Vec::new(),
-            mark_weight: vec![1.0; cues.marks.len()],
-            rectangle_white: Vec::new(),
-            lane_held: Vec::new(),
-            width_white: DMatrix::zeros(0, 0),
-            evaluations: 0,
-        })
-    }
-
-    /// The boxes that are used.
-    pub fn traffic(&self) -> &Traffic {
-        &self.traffic
-    }
-
-    fn view(&self, camera: &Unknowns) -> View {
-        View::new(camera, self.image_size)
-    }
-
-    fn lanes(&self, view: &View) -> Vec<Option<OnRoad>> {
-        self.cues.lanes.iter().map(|l| OnRoad::of(l, view)).collect()
-    }
-
-    /// Takes the noise of marks and lanes at a camera; `None` where a cue is above its horizon.
-    fn hold(&mut self, camera: &Unknowns) -> Option<()> {
-        let view = self.view(camera);
-        let marks = &self.cues.marks;
-        self.mark_white =
-            marks.iter().map(|m| marks::whitening(m, &view)).collect::<Option<_>>()?;
-        let rectangles = &self.cues.rectangles;
-        self.rectangle_white = rectangles
-            .iter()
-            .map(|r| marks::rectangle_whitening(r, &view))
-            .collect::<Option<_>>()?;
-        let held = |l: &super::cues::LaneCue| l.steady.then(|| lanes::hold(l, &view));
-        self.lane_held = self.cues.lanes.iter().map(|l| held(l).flatten()).collect();
-        let n = self.lane_held.iter().flatten().count();
-        let (mean_sd, each) = match self.cues.lane_width_m {
-            Some(_) => (STATED_WIDTH_SD_M, STATED_WIDTH_SD_M),
-            None => (LANE_WIDTH_M[1], LANE_EACH_M),
-        };
-        let mut covariance = DMatrix::from_element(n, n, mean_sd * mean_sd);
-        (0..n).for_each(|k| covariance[(k, k)] += each * each);
-        self.width_white = covariance.cholesky()?.l().try_inverse()?;
-        Some(())
-    }
-
-    /// Whitened residuals of all cues but the boxes; `None` where one is above the horizon.
-    fn cue_residuals(&self, camera: &Unknowns, out: &mut Vec<f64>) -> Option<()> {
-        let view = self.view(camera);
-        for ((mark, white), weight) in
-            self.cues.marks.iter().zip(&self.mark_white).zip(&self.mark_weight)
-        {
-            let r = white * marks::log_ratios(mark, &view)? * weight.sqrt();
-            out.extend(r.iter());
-        }
-        for (corners, white) in self.cues.rectangles.iter().zip(&self.rectangle_white) {
-            out.extend((white * marks::rectangle(corners, &view)?).iter());
-        }
-        let mean = self.cues.lane_width_m.unwrap_or(LANE_WIDTH_M[0]);
-        let mut widths = Vec::new();
-        for (lane, held) in self.cues.lanes.iter().zip(&self.lane_held) {
-            let Some(held) = held else { continue };
-            let (r, width) = held.residuals(&OnRoad::of(lane, &view)?);
-            out.extend(r.iter());
-            widths.push(mean * (width / mean).ln());
-        }
-        if !widths.is_empty() {
-            out.extend((&self.width_white * DVector::from_vec(widths)).iter());
-        }
-        out.extend((self.prior.root * (camera - self.prior.mean)).iter());
-        Some(())
-    }
-
-    /// All residuals.
-    fn residuals(
-        &mut self,
-        theta: &Theta,
-        mixture: Option<&Mixture>,
-        out: &mut Vec<f64>,
-    ) -> Option<()> {
-        self.evaluations += 1;
-        out.clear();
-        let camera = camera_of(theta);
-        self.cue_residuals(&camera, out)?;
-        if let Some(mixture) = mixture {
-            let shared = shared_of(theta);
-            out.extend(shared.iter().zip(SHARED_SD).map(|(z, sd)| z / sd));
-            let view = self.view(&camera);
-            mixture.residuals(&self.traffic, &view, &self.lanes(&view), &shared, out);
-        }
-        Some(())
-    }
-
-    /// Information and gradient at a state with these residuals.
-    fn normal(
-        &mut self,
-        theta: &Theta,
-        mixture: Option<&Mixture>,
-        r0: &[f64],
-    ) -> Option<(Information, Theta)> {
-        let mut columns: Vec<Vec<f64>> = Vec::with_capacity(CAMERA);
-        let mut moved = Vec::with_capacity(r0.len());
-        for (k, step) in STEP.into_iter().enumerate() {
-            let mut at = *theta;
-            at[k] += step;
-            self.residuals(&at, mixture, &mut moved)?;
-            columns.push(moved.iter().zip(r0).map(|(a, b)| (a - b) / step).collect());
-        }
-        let mut information = Information::zeros();
-        let mut gradient = Theta::zeros();
-        for a in 0..CAMERA {
-            gradient[a] = columns[a].iter().zip(r0).map(|(j, r)| j * r).sum();
-            for b in 0..=a {
-                let sum = columns[a].iter().zip(&columns[b]).map(|(x, y)| x * y).sum();
-                information[(a, b)] = sum;
-                information[(b, a)] = sum;
-            }
-        }
-        let Some(mixture) = mixture else {
-            for k in 0..SHARED {
-                information[(CAMERA + k, CAMERA + k)] = SHARED_SD[k].powi(-2);
-            }
-            return Some((information, gradient));
-        };
-        for (k, sd) in SHARED_SD.into_iter().enumerate() {
-            information[(CAMERA + k, CAMERA + k)] += sd.powi(-2);
-            gradient[CAMERA + k] += theta[CAMERA + k] * sd.powi(-2);
-        }
-        let first = r0.len() - 2 * mixture.pairs();
-        for (pair, rows) in mixture.shared_rows().enumerate() {
-            for (half, row) in rows.iter().enumerate() {
-                let at = first + 2 * pair + half;
-                for a in 0..SHARED {
-                    gradient[CAMERA + a] += row[a] * r0[at];
-                    for b in 0..SHARED {
-                        information[(CAMERA + a, CAMERA + b)] += row[a] * row[b];
-                    }
-                    for (b, column) in columns.iter().enumerate() {
-                        let cross = row[a] * column[at];
-                        information[(CAMERA + a, b)] += cross;
-                        information[(b, CAMERA + a)] += cross;
-                    }
-                }
-            }
-        }
-        Some((information, gradient))
-    }
-
+impl Problem<'_> {
     /// Some steps with everything else held; gives the state and how far it moved.
     fn steps(
         &mut self,
@@ -288,7 +51,7 @@ impl<'a> Problem<'a> {
         let mut cost: f64 = r.iter().map(|x| x * x).sum();
         let mut moved = 0.0;
         for _ in 0..most {
-            let (mut information, mut gradient) = self.normal(&theta, mixture, &r)?;
+            let (mut information, mut gradient) = self.normal(&theta, mixture, &r, free)?;
             for (k, free) in free.iter().enumerate() {
                 if !free {
                     gradient[k] = 0.0;
@@ -503,7 +266,8 @@ impl<'a> Problem<'a> {
         }
         let mut r = Vec::new();
         self.residuals(&theta, mixture.as_ref(), &mut r)?;
-        let (information, _) = self.normal(&theta, mixture.as_ref(), &r)?;
+        let all = [true; CAMERA];
+        let (information, _) = self.normal(&theta, mixture.as_ref(), &r, &all)?;
         let cost = self.score(&theta, mixture.as_ref());
         Some(Optimum { theta, cost, information, mixture })
     }

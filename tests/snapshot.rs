@@ -337,3 +337,49 @@ fn a_silent_camera_costs_its_time_out_and_no_more() {
     drop(listener);
     assert!(camera(&url).next(&mut Frame::default()).is_err(), "nobody listens");
 }
+
+/// Runs `verge collect` on this address for a second.
+fn collect(address: &str, frames: &std::path::Path) -> std::process::Output {
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_verge"))
+        .args(["collect", "--camera", "-", "--interval", "0.1", "--for", "1", "--frames"])
+        .arg(frames)
+        .stdin(std::process::Stdio::piped())
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("verge");
+    let mut stdin = child.stdin.take().expect("a pipe");
+    writeln!(stdin, "{address}").expect("it reads");
+    child.wait_with_output().expect("it ends")
+}
+
+#[test]
+fn pictures_are_collected_under_their_time_and_a_camera_that_is_away_is_named() {
+    let pictures = (0..3).map(|k| answer("200 OK", "", &jpeg(32, 24, 40 * k + 20))).collect();
+    let (url, _requests) = serve(pictures);
+    let folder = tempfile::tempdir().expect("a folder");
+    let frames = folder.path().join("frames");
+    let address = url.replace("http://", "http://box:s3cret@");
+    let output = collect(&address, &frames);
+    assert!(output.status.success(), "{output:?}");
+    let said =
+        String::from_utf8_lossy(&[output.stdout.clone(), output.stderr].concat()).into_owned();
+    assert!(!said.contains("s3cret"), "{said}");
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    let mut names: Vec<String> = std::fs::read_dir(&frames)
+        .expect("the folder was made")
+        .map(|entry| entry.expect("a file").file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    assert_eq!(printed.lines().collect::<Vec<_>>(), names, "what is printed is there");
+    assert_eq!(names.len(), 3, "the camera then went away, which is said: {said}");
+    let recorded = verge::daemon::capture::Recorded::open(&frames, None).expect("a recording");
+    let mut recorded = Source::Recorded(recorded);
+    let mut frame = Frame::default();
+    assert_eq!(recorded.next(&mut frame).expect("a picture"), Captured::New);
+    assert!(frame.time > verge::units::UtcMs(1_700_000_000_000), "named by the time");
+    // Nobody listens on the discard port.
+    let away = collect("http://127.0.0.1:9/a.jpg", &folder.path().join("none"));
+    assert_eq!(away.status.code(), Some(69), "{away:?}");
+    assert!(String::from_utf8_lossy(&away.stderr).contains("is the camera on"), "{away:?}");
+}

@@ -1,6 +1,7 @@
 //! What every program at a desk needs: failures with an exit code, a `main`, files that are
 //! there whole or not at all, reading with a path in the error, manual pages, tests that say
-//! they skip, and generated pages of the handbook.
+//! they skip, generated pages of the handbook, and for programs with a page ([`loopback`],
+//! [`page`]) HTTP on loopback and what pages share.
 //!
 //! Owns the failures that all programs share ([`Failure`]) and the meaning of the exit codes
 //! ([`sysexits`]). A program adds its own failures in an enum around [`Failure`] and gives each
@@ -8,7 +9,11 @@
 
 mod failure;
 mod generated;
+#[cfg(feature = "page")]
+pub mod loopback;
 pub mod manual;
+#[cfg(feature = "page")]
+pub mod page;
 mod program;
 mod read;
 mod skip;

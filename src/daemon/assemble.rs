@@ -2,6 +2,7 @@
 //!
 //! Owns what each key of the configuration becomes. No other file gives a stage its settings.
 
+use super::address::{Address, AddressError};
 use super::capture::{
     CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Recorded, Source, SourceSettings,
     utc_offset,
@@ -22,6 +23,9 @@ use crate::sensor::{Preset, Sensor, Windows};
 use crate::track::rate::DEFAULT_TOP_KMH;
 use std::path::Path;
 use std::time::Duration;
+
+/// Longest wait for a picture where no configuration says it.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The camera and the line of a configuration, and their broker.
 pub struct Assembly {
@@ -136,6 +140,21 @@ pub fn camera(config: &Config, line: Option<&Line>) -> Result<SourceSettings, Fa
             })
         }
     })
+}
+
+/// A camera without a configuration, asked for a picture each `interval`, in whatever shape.
+///
+/// # Errors
+/// [`Failure::Config`] where `source` is neither an address nor a device.
+pub fn camera_at(source: &str, interval: Duration) -> Result<SourceSettings, Failure> {
+    if source.starts_with("/dev/") {
+        let (path, size, timeout) = (source.into(), DEFAULT_SIZE, TIMEOUT);
+        return Ok(SourceSettings::Device(DeviceSettings { path, size, interval, timeout }));
+    }
+    let wrong =
+        |error: AddressError| ConfigError::Camera { key: "--camera", reason: error.to_string() };
+    let address = Address::parse(source).map_err(wrong)?;
+    Ok(SourceSettings::Network(CameraSettings::new(address, interval, TIMEOUT)))
 }
 
 /// What a configuration's line is built from.

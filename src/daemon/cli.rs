@@ -42,10 +42,24 @@ enum Command {
         #[arg(long, value_name = "FILE.png")]
         overlay: Option<PathBuf>,
     },
+    /// Show what the sensor sees on a page of this machine, which changes nothing
+    ///
+    /// The page is answered on loopback alone, under an address with a token; from elsewhere it is
+    /// reached by `ssh -L`. The camera is asked once more beside `verge run`, while the page is open.
+    View {
+        /// Configuration, TOML
+        #[arg(long, value_name = "FILE")]
+        config: PathBuf,
+        /// Port on loopback; a free one by default
+        #[arg(long, default_value_t = 0)]
+        port: u16,
+    },
     /// Measure density in recorded frames
     Replay(commands::replay::Args),
     /// Count a site by eye: choose frames, draw them, and learn from the answers
     Audit(commands::audit::Args),
+    /// Collect pictures of a camera into a folder, over minutes or hours
+    Collect(commands::collect::Args),
     /// Find vehicles in recorded frames, without a lane table
     Detect(commands::detect::Args),
     /// Rewrite published messages for a traffic centre: FIWARE, DATEX II, NTCIP, CSV
@@ -90,8 +104,10 @@ where
         Command::Check { config, after_update, overlay } => {
             commands::check::run(&config, after_update, overlay.as_deref())
         }
+        Command::View { config, port } => commands::view::run(&config, port),
         Command::Replay(args) => commands::replay::run(&args),
         Command::Audit(args) => commands::audit::run(&args),
+        Command::Collect(args) => commands::collect::run(&args),
         Command::Detect(args) => commands::detect::run(&args),
         #[cfg(feature = "desk")]
         Command::Convert(args) => commands::convert::run(&args),

@@ -180,6 +180,9 @@ pub enum Failure {
         /// What is wrong.
         reason: String,
     },
+    /// A port of loopback for a page.
+    #[error("{0}")]
+    Page(String),
     /// A stage panicked.
     #[error("a fault of the program, please report it: {0}")]
     Stage(String),
@@ -207,7 +210,7 @@ impl Exit for Failure {
             Self::NothingMeasured { .. } | Self::Withheld { .. } | Self::Pace(_) => DATAERR,
             Self::Device(DeviceError::NotBuilt { .. }) => CONFIG,
             Self::Capture(_) => UNAVAILABLE,
-            Self::Device(_) | Self::OnnxRuntime(_) => UNAVAILABLE,
+            Self::Device(_) | Self::OnnxRuntime(_) | Self::Page(_) => UNAVAILABLE,
             Self::Broker { .. } | Self::Serial { .. } => UNAVAILABLE,
             Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
             Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,

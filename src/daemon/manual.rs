@@ -30,7 +30,9 @@ const PAGES: &[Page] = &[
             "verge-check(1)",
             "verge-replay(1)",
             "verge-audit(1)",
+            "verge-collect(1)",
             "verge-detect(1)",
+            "verge-view(1)",
             "verge-convert(1)",
             "verge-node(1)",
             "verge-bench(1)",
@@ -100,6 +102,26 @@ const PAGES: &[Page] = &[
             ),
         ],
         see: &["verge-replay(1)", "verge.toml(5)"],
+    },
+    Page {
+        command: "collect",
+        files: &[],
+        exits: &[UNAVAILABLE, SOFTWARE, CANTCREAT, CONFIG],
+        examples: &[(
+            "verge collect --camera http://192.0.2.7/snapshot.jpg --frames frames --for 3600",
+            "A picture every ten seconds, for an hour.",
+        )],
+        see: &["mvcalib-desk(1)", "verge-detect(1)"],
+    },
+    Page {
+        command: "view",
+        files: &[CONFIGURATION],
+        exits: &[DATAERR, NOINPUT, UNAVAILABLE, SOFTWARE, CONFIG],
+        examples: &[(
+            "verge view --config verge.toml --port 8000",
+            "Print the address of the page; elsewhere, open it through `ssh -L 8000:127.0.0.1:8000`.",
+        )],
+        see: &["verge-check(1)", "verge-run(1)"],
     },
     Page {
         command: "detect",

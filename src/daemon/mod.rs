@@ -46,6 +46,7 @@ mod station;
 pub mod tableless;
 pub mod trust;
 pub mod vehicles;
+mod view;
 
 use crate::hal::{Board, Switch, Thermometer, Watchdog};
 use std::process::ExitCode;

@@ -3,9 +3,11 @@
 //! Owns finding the pictures, the detector and its model. Does not own the page nor the work.
 
 use super::print;
+use mvcalib::desk::collect::Camera;
+use mvcalib::desk::program::Detector;
 use mvcalib::desk::server::Desk;
 use mvcalib::desk::site::Site;
-use mvcalib::desk::traffic::{DETECTIONS, Detector, Traffic};
+use mvcalib::desk::traffic::{DETECTIONS, Traffic};
 use mvcalib::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -17,11 +19,16 @@ const MODELS: [&str; 2] =
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
     /// Folder with pictures of one camera, or with a folder `frames` of them.
-    #[arg(value_name = "FOLDER", required_unless_present = "frames")]
+    #[arg(value_name = "FOLDER", required_unless_present_any = ["frames", "camera"])]
     folder: Option<PathBuf>,
     /// The same, by name.
     #[arg(long, value_name = "DIR", conflicts_with = "folder")]
     frames: Option<PathBuf>,
+    /// A camera whose pictures are collected on the page, into FOLDER's `frames` [FOLDER by
+    /// default: named after the camera's host]: http://, mjpeg+http://, rtsp:// (with s for TLS), a
+    /// device under /dev, or - to read the address from standard input.
+    #[arg(long, value_name = "ADDRESS")]
+    camera: Option<String>,
     /// Where the site is saved and opened again [default: the folder's `site`].
     #[arg(long, value_name = "DIR")]
     site: Option<PathBuf>,
@@ -42,13 +49,20 @@ pub struct Arguments {
 /// Runs `desk` until it is stopped.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let folder = arguments.folder.as_ref().or(arguments.frames.as_ref());
-    let folder = folder.ok_or_else(|| Error::Usage("give a folder of pictures".into()))?;
-    let site = Site::of(folder, arguments.site.as_deref())?;
+    let camera = arguments.camera()?;
+    let site = match (&camera, folder) {
+        (Some(camera), folder) => {
+            let folder = folder.cloned().unwrap_or_else(|| folder_of(camera));
+            Site::of_camera(&folder, arguments.site.as_deref())?
+        }
+        (None, Some(folder)) => Site::of(folder, arguments.site.as_deref())?,
+        (None, None) => return Err(Error::Usage("give a folder of pictures, or a camera".into())),
+    };
     let saved = site.file(DETECTIONS);
     let at_hand = arguments.detections.clone().or_else(|| saved.is_file().then_some(saved));
     let detector = arguments.detector()?;
     let traffic = Traffic::new(detector.clone(), at_hand.as_deref())?;
-    let desk = Desk::bind(site, arguments.port, detector, traffic)?;
+    let desk = Desk::bind(site, arguments.port, detector, traffic, camera)?;
     print(&desk.address());
     eprintln!("open this address in a browser; Ctrl-C ends the desk");
     desk.serve();
@@ -56,6 +70,31 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 impl Arguments {
+    /// The camera, with the program that asks it.
+    fn camera(&self) -> Result<Option<Camera>> {
+        let address = match self.camera.as_deref() {
+            None => return Ok(None),
+            Some("-") => {
+                std::io::stdin().lines().next().and_then(std::io::Result::ok).unwrap_or_default()
+            }
+            Some(address) => address.to_owned(),
+        };
+        let program = self.program().ok_or_else(|| {
+            Error::Usage(
+                "the program `verge` asks the camera, and is neither beside this one nor on the \
+                 path: give it by --verge FILE"
+                    .into(),
+            )
+        })?;
+        Ok(Some(Camera { program, address: address.trim().to_owned() }))
+    }
+
+    /// The program `verge`.
+    fn program(&self) -> Option<PathBuf> {
+        let beside = std::env::current_exe().ok().and_then(|p| Some(p.parent()?.join("verge")));
+        self.verge.clone().or(beside.filter(|path| path.is_file())).or_else(on_path)
+    }
+
     /// The detector, where both its program and its model are there.
     fn detector(&self) -> Result<Option<Detector>> {
         let there = |path: &PathBuf| path.is_file();
@@ -65,10 +104,17 @@ impl Arguments {
         }
         let model =
             self.model.clone().or_else(|| MODELS.map(PathBuf::from).into_iter().find(there));
-        let beside = std::env::current_exe().ok().and_then(|p| Some(p.parent()?.join("verge")));
-        let program = self.verge.clone().or(beside.filter(there)).or_else(on_path);
-        Ok(program.zip(model).map(|(program, model)| Detector { program, model }))
+        Ok(self.program().zip(model).map(|(program, model)| Detector { program, model }))
     }
+}
+
+/// A folder named after the camera's host.
+fn folder_of(camera: &Camera) -> PathBuf {
+    let shown = camera.shown();
+    let host = shown.split_once("://").map_or(shown.as_str(), |(_, rest)| rest);
+    let host = host.split(['/', '?']).find(|part| !part.is_empty()).unwrap_or("camera");
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '.' || c == '-' { c } else { '-' };
+    host.chars().map(plain).collect::<String>().trim_start_matches('.').into()
 }
 
 fn on_path() -> Option<PathBuf> {

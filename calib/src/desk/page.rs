@@ -2,34 +2,29 @@
 //!
 //! Owns which there are and their types. Does not own who gets them (see `server`).
 
-/// A file of the page: its name, its media type, its content.
-type File = (&'static str, &'static str, &'static str);
-
-const SCRIPT: &str = "text/javascript; charset=utf-8";
+use verge_desk::page::{File, SCRIPT};
 
 /// The page itself.
 pub const INDEX: &str = include_str!("page/index.html");
 
-/// Everything that it asks for.
-const FILES: [File; 15] = [
-    ("style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
+/// What it asks for, beside what all pages share.
+const FILES: [File; 13] = [
     ("main.js", SCRIPT, include_str!("page/main.js")),
     ("types.js", SCRIPT, include_str!("page/types.js")),
     ("server.js", SCRIPT, include_str!("page/server.js")),
     ("store.js", SCRIPT, include_str!("page/store.js")),
-    ("stage.js", SCRIPT, include_str!("page/stage.js")),
-    ("paint.js", SCRIPT, include_str!("page/paint.js")),
     ("tools.js", SCRIPT, include_str!("page/tools.js")),
-    ("elements.js", SCRIPT, include_str!("page/elements.js")),
     ("pictures.js", SCRIPT, include_str!("page/pictures.js")),
+    ("collect.js", SCRIPT, include_str!("page/collect.js")),
     ("road.js", SCRIPT, include_str!("page/road.js")),
     ("lanes.js", SCRIPT, include_str!("page/lanes.js")),
     ("traffic.js", SCRIPT, include_str!("page/traffic.js")),
     ("car.js", SCRIPT, include_str!("page/car.js")),
     ("save.js", SCRIPT, include_str!("page/save.js")),
+    ("audit.js", SCRIPT, include_str!("page/audit.js")),
 ];
 
-/// The file of this name.
+/// The file of this name: its media type and its content.
 pub fn find(name: &str) -> Option<(&'static str, &'static str)> {
-    FILES.iter().find(|f| f.0 == name).map(|f| (f.1, f.2))
+    verge_desk::page::find(&FILES, name)
 }

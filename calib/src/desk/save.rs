@@ -3,6 +3,7 @@
 //! Owns the list of files and that all of them are written or none. Does not own their
 //! formats.
 
+use super::audit;
 use super::backdrop::{Backdrop, spread};
 use super::drawing::{Drawing, Px};
 use super::look;
@@ -75,13 +76,17 @@ pub fn save(
         Some(&scene),
         DEFAULT_CELL_LENGTH_M,
     )?;
+    let mut config = toml(drawing, site, model);
+    if audit::holds(site, &table) {
+        config = audit::named(&config);
+    }
     let drawn = serde_json::to_string(drawing).expect("a drawing of finite numbers is JSON");
     let [lengths, lines] = drawing.labelme_lines();
     let mut files = vec![
         ("calibration.json", json.into_bytes(), "the camera, for `mvcalib verify` and `report`"),
         ("lanes.json", labelme(&drawing.labelme(&drawing.lanes)), "the lanes, for labelme too"),
         ("lanes.lut", table, "the lane table, for `verge run`"),
-        ("verge.toml", toml(drawing, site, model).into_bytes(), "the sensor's configuration"),
+        ("verge.toml", config.into_bytes(), "the sensor's configuration"),
         (POSE, backdrop.png.clone(), "the picture that was drawn on"),
         (SITE, drawn.into_bytes(), "everything drawn: opened again by `mvcalib desk`"),
     ];

@@ -44,8 +44,22 @@ impl Site {
         let inner = folder.join("frames");
         let frames = if inner.is_dir() { inner } else { folder.to_owned() };
         pictures(&frames)?;
+        Ok(Self::at(folder, frames, site))
+    }
+
+    /// A folder whose `frames` will come from a camera.
+    ///
+    /// # Errors
+    /// Where it cannot be made.
+    pub fn of_camera(folder: &Path, site: Option<&Path>) -> Result<Self> {
+        let frames = folder.join("frames");
+        verge_desk::make_parent(&frames.join("picture"))?;
+        Ok(Self::at(folder, frames, site))
+    }
+
+    fn at(folder: &Path, frames: PathBuf, site: Option<&Path>) -> Self {
         let folder = site.map_or_else(|| folder.join("site"), Path::to_owned);
-        Ok(Site { frames, folder })
+        Site { frames, folder }
     }
 
     /// The pictures, by name.

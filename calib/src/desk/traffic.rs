@@ -6,6 +6,7 @@
 use super::backdrop::{Backdrop, name_of, spread};
 use super::drawing::Drawing;
 use super::look;
+use super::program::{Detector, Progress, Task};
 use super::site::Site;
 use crate::error::{Error, Result};
 use crate::files::calibration::Sha256;
@@ -13,10 +14,9 @@ use crate::files::road_cues;
 use crate::road::fit::{BoxCue, Class};
 use crate::road::lane_table::table;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::path::Path;
+use std::process::Command;
+use std::sync::Arc;
 use verge::lane::{DEFAULT_CELL_LENGTH_M, LaneTable};
 use verge::units::ImagePoint;
 
@@ -29,15 +29,6 @@ const EDGE_PX: f64 = 0.5;
 /// Most pictures that are counted, spread over all: each is brought over the backdrop first.
 const MOST_COUNTED: usize = 200;
 
-/// The detector of this desk.
-#[derive(Clone, Debug)]
-pub struct Detector {
-    /// The program `verge`.
-    pub program: PathBuf,
-    /// The model that it uses.
-    pub model: PathBuf,
-}
-
 /// The boxes of one picture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FrameBoxes {
@@ -47,20 +38,11 @@ pub struct FrameBoxes {
     pub boxes: Vec<(f64, f64, f64, f64, f64, String)>,
 }
 
-/// How far the search is.
-#[derive(Clone, Debug)]
-enum Progress {
-    Idle,
-    Running(Instant),
-    Done(Arc<Vec<FrameBoxes>>),
-    Failed(String),
-}
-
 /// The search of this desk.
 #[derive(Debug)]
 pub struct Traffic {
     detector: Option<Detector>,
-    progress: Arc<Mutex<Progress>>,
+    task: Task<Vec<FrameBoxes>>,
 }
 
 /// How far the search is, for the page.
@@ -72,9 +54,11 @@ pub struct TrafficState {
     pub state: &'static str,
     /// Time since it began, s.
     pub running_s: f64,
+    /// Pictures that are searched so far.
+    pub searched: usize,
     /// Why it failed.
     pub problem: Option<String>,
-    /// Pictures that were searched.
+    /// Pictures that were searched, once all are.
     pub frames: usize,
     /// Boxes that were found.
     pub boxes: usize,
@@ -90,16 +74,12 @@ impl Traffic {
             Some(path) => Progress::Done(Arc::new(read(path)?)),
             None => Progress::Idle,
         };
-        Ok(Traffic { detector, progress: Arc::new(Mutex::new(progress)) })
-    }
-
-    fn now(&self) -> Progress {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        Ok(Traffic { detector, task: Task::new(progress) })
     }
 
     /// The boxes, once there are some.
     pub fn found(&self) -> Option<Arc<Vec<FrameBoxes>>> {
-        match self.now() {
+        match self.task.now() {
             Progress::Done(frames) => Some(frames),
             _ => None,
         }
@@ -123,27 +103,23 @@ impl Traffic {
 
     /// For the page.
     pub fn state(&self) -> TrafficState {
-        let mut state = TrafficState {
-            detector: self.detector.is_some(),
-            state: "idle",
-            running_s: 0.0,
-            problem: None,
-            frames: 0,
-            boxes: 0,
-        };
-        match self.now() {
-            Progress::Idle => {}
-            Progress::Running(since) => {
-                (state.state, state.running_s) = ("running", since.elapsed().as_secs_f64());
-            }
+        let now = self.task.now();
+        let (searched, frames, boxes) = match &now {
+            Progress::Running { lines, .. } => (lines.len(), 0, 0),
             Progress::Done(frames) => {
-                state.state = "done";
-                state.frames = frames.len();
-                state.boxes = frames.iter().map(|f| f.boxes.len()).sum();
+                (frames.len(), frames.len(), frames.iter().map(|f| f.boxes.len()).sum())
             }
-            Progress::Failed(problem) => (state.state, state.problem) = ("failed", Some(problem)),
+            _ => (0, 0, 0),
+        };
+        TrafficState {
+            detector: self.detector.is_some(),
+            state: now.name(),
+            running_s: now.running_s(),
+            searched,
+            problem: now.problem(),
+            frames,
+            boxes,
         }
-        state
     }
 
     /// Begins the search; one at a time.
@@ -158,42 +134,12 @@ impl Traffic {
                     .into(),
             )
         })?;
-        let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        if matches!(*progress, Progress::Running(_)) {
-            return Ok(());
-        }
         let out = site.file(DETECTIONS);
         verge_desk::make_parent(&out)?;
-        let child = Command::new(&detector.program)
-            .arg("detect")
-            .arg("--frames")
-            .arg(&site.frames)
-            .arg("--detections")
-            .arg(&out)
-            .arg("--model")
-            .arg(&detector.model)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(|e| Error::Usage(format!("{}: {e}", detector.program.display())))?;
-        *progress = Progress::Running(Instant::now());
-        let shared = Arc::clone(&self.progress);
-        std::thread::spawn(move || {
-            let ended = match child.wait_with_output() {
-                Ok(output) if output.status.success() => match read(&out) {
-                    Ok(frames) => Progress::Done(Arc::new(frames)),
-                    Err(error) => Progress::Failed(error.to_string()),
-                },
-                Ok(output) => {
-                    let said = String::from_utf8_lossy(&output.stderr);
-                    Progress::Failed(said.lines().last().unwrap_or("it failed").to_owned())
-                }
-                Err(error) => Progress::Failed(error.to_string()),
-            };
-            *shared.lock().unwrap_or_else(PoisonError::into_inner) = ended;
-        });
-        Ok(())
+        let mut command = Command::new(&detector.program);
+        command.args(["detect", "--names", "--frames"]).arg(&site.frames);
+        command.arg("--detections").arg(&out).arg("--model").arg(&detector.model);
+        self.task.start(command, "", move |_| read(&out))
     }
 }
 

@@ -1,14 +1,15 @@
-"""The desk in a real browser, from a folder of pictures to a saved site.
+"""The desk in a real browser, from a folder of pictures or a camera to an audited site, and the view.
 
-    drive.py MVCALIB [--shots DIR] [--page DIR]
+    drive.py MVCALIB --verge VERGE [--shots DIR] [--page]
 
 Chromium is that of Debian, driven by Playwright. Frames are those of the simulated street in
 tests/data, whose camera is known. --shots keeps a picture of each step; --page takes the page's
-files from a folder in place of the program's own, so that no build is needed to try a change.
+files from the tree in place of the program's own, so that no build is needed to try a change.
 """
 
 import argparse
 import atexit
+import http.server
 import json
 import math
 import pathlib
@@ -16,12 +17,16 @@ import re
 import shutil
 import subprocess
 import tempfile
+import threading
+import urllib.error
+import urllib.request
 
 from PIL import Image, ImageChops
 from playwright.sync_api import sync_playwright
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 STREET = ROOT / "tests/data/freeway"
+PAGES = [ROOT / "calib/src/desk/page", ROOT / "desk/page", ROOT / "src/daemon/view/page"]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SIZE = {"width": 1366, "height": 650}
 MOST_ACTIONS = 60
@@ -70,10 +75,9 @@ def rotation(rvec):
 class Desk:
     """One program with one page; counts what a person would do."""
 
-    def __init__(self, browser, program, folder, arguments=(), page_files=None):
+    def __init__(self, browser, command, page_files=None):
         self.process = subprocess.Popen(
-            [program, "desk", *map(str, folder), *map(str, arguments)],
-            stdout=subprocess.PIPE, text=True,
+            list(map(str, command)), stdout=subprocess.PIPE, text=True, cwd=ROOT
         )
         atexit.register(self.process.kill)
         self.address = self.process.stdout.readline().strip()
@@ -82,17 +86,17 @@ class Desk:
         self.foreign, self.faults, self.actions = [], [], 0
         self.page.on("request", self.requested)
         self.page.on("pageerror", lambda e: self.faults.append(str(e)))
-        self.page.on("console", lambda m: m.type == "error" and "422" not in m.text and self.faults.append(m.text))
+        self.page.on("console", lambda m: m.type == "error" and "422" not in m.text and "404" not in m.text and self.faults.append(m.text))
         if page_files:
             types = {".js": "text/javascript", ".css": "text/css"}
             def own(route):
-                file = pathlib.Path(page_files) / route.request.url.rsplit("/", 1)[1]
+                name = route.request.url.rsplit("/", 1)[1]
+                file = next(folder / name for folder in PAGES if (folder / name).exists())
                 route.fulfill(body=file.read_text(), content_type=types[file.suffix])
             self.page.route("**/page/*", own)
         self.page.set_default_timeout(30000)
         self.page.goto(self.address, wait_until="commit")
-        self.page.wait_for_selector("#busy", state="hidden", timeout=60000)
-        self.calm()
+        self.page.wait_for_selector("#busy[hidden], #collect", state="attached", timeout=60000)
 
     def requested(self, request):
         if not request.url.startswith((self.address, "data:", "blob:")):
@@ -134,6 +138,15 @@ class Desk:
 
     def text(self, selector):
         return self.page.inner_text(selector)
+
+
+def until(desk, condition, limit_s=120):
+    """Waits for what the page shows. Playwright's own way evaluates text, which the page forbids."""
+    for _ in range(10 * limit_s):
+        if condition():
+            return
+        desk.page.wait_for_timeout(100)
+    raise AssertionError(f"not within {limit_s} s: {desk.text('#panel')}")
 
 
 def add_length(desk, a, b, metres):
@@ -282,27 +295,161 @@ def a_wrong_length_is_named(desk, truth, shot):
     assert "good" in desk.page.get_attribute("#camera-card", "class")
 
 
+class Camera:
+    """A camera that answers each request with the street's next picture."""
+
+    def __init__(self):
+        pictures = sorted((STREET / "frames").iterdir())
+        asked = iter(range(10**9))
+
+        class Answer(http.server.BaseHTTPRequestHandler):
+            def do_GET(self):
+                body = pictures[next(asked) % len(pictures)].read_bytes()
+                self.send_response(200)
+                self.send_header("Content-Type", "image/jpeg")
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *_):
+                pass
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Answer)
+        self.address = f"http://127.0.0.1:{self.server.server_port}/picture.jpg?key=secret"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+
+def pictures_come_from_a_camera(open_desk, folder, verge, shot):
+    """A camera that is away is red; one that answers is collected from, as long as wanted."""
+    asked = lambda address, name: open_desk(
+        folder / name, "--camera", address, "--verge", verge, site=folder / name / "site")
+    desk = asked("http://127.0.0.1:9/picture.jpg", "away")
+    desk.click("#collect")
+    desk.page.wait_for_selector("#collect-problem")
+    assert "is the camera on" in desk.text("#collect-problem"), desk.text("#collect-problem")
+    shot(desk, "12-camera-away")
+    desk.close()
+    desk = asked(Camera().address, "camera")
+    desk.page.select_option("#interval", "1")
+    desk.page.select_option("#for", "60")
+    shot(desk, "13-camera")
+    desk.click("#collect")
+    desk.page.wait_for_selector("#live:not([hidden])", timeout=60000)
+    # Seven and more make a picture without traffic.
+    until(desk, lambda: int(desk.text("#enough").rsplit(" ", 1)[1]) >= 8)
+    shot(desk, "14-collecting")
+    assert "secret" not in desk.text("#panel"), "a query may hold a password"
+    desk.click("#enough")
+    desk.page.wait_for_selector("#next", timeout=60000)
+    shot(desk, "15-collected")
+    assert "pictures of 720 × 480" in desk.text("#panel"), desk.text("#panel")
+    desk.close()
+
+
+def inside(p, polygon):
+    odd = False
+    for (x0, y0), (x1, y1) in zip(polygon, polygon[1:] + polygon[:1]):
+        if (y0 > p[1]) != (y1 > p[1]) and p[0] < x0 + (p[1] - y0) / (y1 - y0) * (x1 - x0):
+            odd = not odd
+    return odd
+
+
+def counted_by_eye(site):
+    """Vehicles by picture and lane, as a person with good eyes counts them in the saved lanes."""
+    shapes = json.loads((site / "lanes.json").read_text())["shapes"]
+    counts = {}
+    for line in (STREET / "truth.jsonl").read_text().splitlines():
+        frame = json.loads(line)
+        boxes = [v["box"] for v in frame["vehicles"] if v.get("box")]
+        feet = [((b[0] + b[2]) / 2, b[3]) for b in boxes if b[3] < 479]
+        counts[frame["frame"]] = [sum(inside(p, s["points"]) for p in feet) for s in shapes]
+    return counts
+
+
+def the_site_is_audited(desk, site, shot):
+    """Counts ten pictures, one of them wrongly at first."""
+    truth = counted_by_eye(site)
+    desk.click("#step-6")
+    desk.page.wait_for_selector("#choose")
+    shot("16-audit")
+    desk.click("#choose")
+    desk.page.wait_for_selector("#count-0", timeout=240000)
+    shown = lambda: desk.page.inner_text("#backdrops .name >> nth=0")
+    pictures = desk.page.locator(".dots .dot").count()
+    assert pictures == 10, pictures
+    for k in range(pictures):
+        until(desk, lambda: f"picture {k + 1} of" in desk.text("#panel").lower())
+        fields = [desk.page.input_value(f"#count-{lane}") for lane in range(3)]
+        assert fields == ["", "", ""], f"picture {k + 1} begins with {fields}"
+        counts = list(truth[shown()])
+        if k == 3:
+            wrong, right, counts[0] = shown(), counts[0], 60
+        for count in counts:
+            desk.page.keyboard.type(str(count))
+            desk.key("Enter")
+        if k == 4:
+            shot("17-counting")
+    desk.click("#compare")
+    desk.page.wait_for_selector("#audit-problem", timeout=240000)
+    problem = desk.text("#audit-problem")
+    assert wrong in problem and "count it again" in problem, problem
+    assert desk.page.locator(".dots .dot.bad").count() == 1 and shown() == wrong
+    assert not (site / "audit.toml").exists(), "a contradiction was written"
+    shot("18-contradiction")
+    desk.page.fill("#count-0", str(right))
+    desk.click("#compare")
+    desk.page.wait_for_selector("#audited", timeout=240000)
+    shot("19-audited")
+    assert desk.page.locator("#audit-frames tr").count() == pictures + 1
+    assert 'audit = "audit.toml"' in (site / "verge.toml").read_text()
+    assert (site / "audit.toml").read_text().startswith("# Made by")
+
+
+def the_view_shows_and_changes_nothing(view, shot):
+    view.page.wait_for_selector("#counts", timeout=120000)
+    view.page.wait_for_timeout(600)
+    rows = view.page.locator("#counts tr").all_inner_texts()[1:]
+    assert len(rows) == 3 and rows[0].startswith("●"), rows
+    assert "stands where the lanes were drawn" in view.text("#health") or "not yet" in view.text("#health")
+    shot("20-view")
+    bare = "/".join(view.address.split("/")[:3]) + "/"
+    for address, data, expected in ((view.address + "api/seen", b"{}", 405), (bare + "api/seen", None, 403)):
+        request = urllib.request.Request(address, data=data, headers={"Content-Type": "application/json"})
+        try:
+            status = urllib.request.urlopen(request).status
+        except urllib.error.HTTPError as refused:
+            status = refused.code
+        assert status == expected, f"{address}: {status}"
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("mvcalib")
+    parser.add_argument("--verge", required=True)
     parser.add_argument("--shots", type=pathlib.Path)
-    parser.add_argument("--page")
+    parser.add_argument("--page", action="store_true")
     arguments = parser.parse_args()
+    mvcalib, verge = (pathlib.Path(p).resolve() for p in (arguments.mvcalib, arguments.verge))
     truth = Truth()
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        site = pathlib.Path(folder) / "bridge"
-        open_desk = lambda frames, *more: Desk(
-            browser, arguments.mvcalib, [frames], ["--site", site, *more], arguments.page)
+        folder = pathlib.Path(folder)
+        site = folder / "bridge"
 
-        desk = open_desk(STREET)
+        def open_desk(frames, *more, site=site):
+            desk = Desk(browser, [mvcalib, "desk", frames, "--site", site, *more], arguments.page)
+            if "--camera" not in more:
+                desk.calm()
+            return desk
 
-        def shot(name):
+        def take(desk, name):
             if arguments.shots:
                 arguments.shots.mkdir(parents=True, exist_ok=True)
                 desk.page.wait_for_timeout(150)
                 desk.page.screenshot(path=arguments.shots / f"{name}.png")
 
+        desk = open_desk(STREET)
+        shot = lambda name: take(desk, name)
         actions = from_pictures_to_a_table(desk, truth, shot)
         files = sorted(f.name for f in site.iterdir())
         for wanted in ("calibration.json", "lanes.json", "lanes.lut", "verge.toml", "site.json", "pose.png"):
@@ -317,7 +464,7 @@ def main():
         print(f"from a folder of frames to a saved table: {actions} actions")
 
         # A saved site opens again, and counts what a detector found.
-        boxes = pathlib.Path(folder) / "boxes.jsonl"
+        boxes = folder / "boxes.jsonl"
         true_boxes(boxes)
         desk = open_desk(STREET, "--detections", boxes)
         desk.page.wait_for_selector("#camera-card.good")
@@ -325,8 +472,26 @@ def main():
         the_traffic_is_counted(desk, shot)
         desk.close()
 
+        # Ten of some pictures are counted by eye.
+        some = folder / "some"
+        some.mkdir()
+        for path in sorted((STREET / "frames").iterdir())[::4]:
+            shutil.copy(path, some)
+        desk = open_desk(some, "--verge", verge)
+        the_site_is_audited(desk, site, shot)
+        desk.close()
+        print("the site is audited")
+
+        view = Desk(browser, [verge, "view", "--config", site / "verge.toml"])
+        the_view_shows_and_changes_nothing(view, lambda name: take(view, name))
+        view.close()
+        print("the view shows what the sensor sees")
+
+        pictures_come_from_a_camera(open_desk, folder, verge, take)
+        print("pictures come from a camera")
+
         # The camera has moved: a look and a click, then it is saved; undone, it is asked again.
-        moved = pathlib.Path(folder) / "moved"
+        moved = folder / "moved"
         move_pictures(moved)
         desk = open_desk(moved)
         desk.page.wait_for_selector("#moved")
@@ -344,6 +509,8 @@ def main():
         desk.calm()
         desk.click("#save")
         desk.page.wait_for_selector("#saved")
+        # Other lanes, another table: the audit does not hold for it.
+        assert 'audit = ' not in (site / "verge.toml").read_text()
         desk.close()
         browser.close()
     print("the desk in a browser: all is well")

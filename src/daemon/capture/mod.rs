@@ -23,7 +23,7 @@ mod v4l2;
 pub use device::{DEFAULT_SIZE, DeviceError, DeviceSettings};
 pub use mjpeg::Mjpeg;
 pub use network::{CameraError, CameraSettings, Credentials, Fault};
-pub use picture::{DecodeError, decode, decode_shaped};
+pub use picture::{DecodeError, decode, decode_shaped, encode::jpeg};
 pub use recorded::{Recorded, RecordingError};
 pub use refresh::advice;
 pub use rtsp::Rtsp;

@@ -45,6 +45,9 @@ pub struct Args {
     /// The site's own file, for replay --audit and lane_table.audit
     #[arg(long, value_name = "FILE", requires = "counts")]
     out: Option<PathBuf>,
+    /// Print the correction as JSON, with what people and the line count in each frame
+    #[arg(long, requires = "counts")]
+    json: bool,
 }
 
 /// Least probabilities with which frames are counted, beside the model's own.
@@ -156,7 +159,11 @@ fn learn(args: &Args, mut line: Line, counts: &Path, out: &Path) -> Result<(), F
         correction,
     };
     file.write(out)?;
-    println!("{}", told(&file, stated, out));
+    if args.json {
+        println!("{}", told_json(&file, stated, &frames, &scores));
+    } else {
+        println!("{}", told(&file, stated, out));
+    }
     Ok(())
 }
 
@@ -182,6 +189,26 @@ fn compare(
         line: counts.iter().map(total).collect(),
         is_night: line.scene().is_some_and(|scene| scene.light() == Light::Night),
     })
+}
+
+/// What was found, for a program: the line's counts are those with the site's score.
+fn told_json(file: &SiteFile, stated: f32, frames: &[Counted], scores: &[f32]) -> String {
+    let score = file.correction.score.unwrap_or(stated);
+    let at = scores.iter().position(|known| *known == score).unwrap_or(0);
+    let frame = |frame: &Counted| {
+        serde_json::json!({
+            "frame": frame.frame,
+            "people": frame.people.iter().sum::<u32>(),
+            "line": frame.line.get(at),
+        })
+    };
+    serde_json::json!({
+        "frames": frames.iter().map(frame).collect::<Vec<_>>(),
+        "vehicles": file.vehicles,
+        "stated_score": stated,
+        "correction": file.correction,
+    })
+    .to_string()
 }
 
 /// What was found, for people.

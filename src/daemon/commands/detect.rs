@@ -6,6 +6,7 @@ use crate::daemon::assemble::open_frames;
 use crate::daemon::exit::Failure;
 use crate::daemon::output::WholeFile;
 use crate::daemon::tableless::Tableless;
+use std::io::Write;
 use std::path::PathBuf;
 
 /// Its arguments.
@@ -17,6 +18,9 @@ pub struct Args {
     /// Where each frame's boxes are written, JSON Lines
     #[arg(long, value_name = "FILE")]
     detections: PathBuf,
+    /// Print each frame's name once it is searched
+    #[arg(long)]
+    names: bool,
     #[command(flatten)]
     model: ModelArgs,
 }
@@ -47,7 +51,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     search(
         recorded,
         |picture, found| line.detect(picture, found),
-        |frame, found| file.line(&text::boxes(frame, found)),
+        |frame, found| {
+            file.line(&text::boxes(frame, found))?;
+            // The reader's going away changes nothing: the file is what was asked for.
+            let _ = args.names.then(|| writeln!(std::io::stdout(), "{}", frame.name));
+            Ok(())
+        },
     )?;
     file.finish()
 }

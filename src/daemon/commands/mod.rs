@@ -4,6 +4,7 @@
 pub mod audit;
 pub mod bench;
 pub mod check;
+pub mod collect;
 #[cfg(feature = "desk")]
 mod compare;
 #[cfg(feature = "desk")]
@@ -17,6 +18,7 @@ mod recording;
 pub mod replay;
 pub mod run;
 mod text;
+pub mod view;
 
 use super::config::{DEFAULT_MODEL, NetInput, found_model};
 use std::convert::Infallible;

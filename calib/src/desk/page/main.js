@@ -1,5 +1,7 @@
 // The desk: its steps, its keys, and what is shown when.
 
+import * as audit from "./audit.js";
+import { collect } from "./collect.js";
 import { byId, el, fill, percent } from "./elements.js";
 import * as lanes from "./lanes.js";
 import { ERRORS } from "./paint.js";
@@ -44,7 +46,7 @@ import * as traffic from "./traffic.js";
  */
 
 /** @type {Step[]} */
-const STEPS = [pictures.step, road.step, lanes.step, traffic.step, save.step];
+const STEPS = [pictures.step, road.step, lanes.step, traffic.step, save.step, audit.step];
 /** Time after a change until it is measured, ms. */
 const SOON_MS = 40;
 
@@ -342,7 +344,7 @@ export class Desk {
     else if (key === ".") this.show((this.frame ?? -1) + 1);
     else if (key === " " && !onButton) this.stage.space = true;
     else if (key === "v" && this.tools.length) this.take(null);
-    else if (/^F?[1-5]$/.test(key) && event.shiftKey) this.go(Number(key.replace("F", "")) - 1);
+    else if (/^F?[1-6]$/.test(key) && event.shiftKey) this.go(Number(key.replace("F", "")) - 1);
     else if (key === "PageDown") this.go(Math.min(this.at + 1, STEPS.length - 1));
     else if (key === "PageUp") this.go(Math.max(this.at - 1, 0));
     else {
@@ -382,6 +384,10 @@ export class Desk {
 async function open() {
   const busy = byId("busy");
   try {
+    const camera = await server.collection();
+    const isAsked = camera.camera && (camera.state === "running" || camera.pictures === 0 || location.hash === "#collect");
+    if (isAsked) await collect(camera);
+    if (location.hash) history.replaceState(null, "", location.pathname);
     const desk = new Desk(await server.site());
     pictures.prefill(desk);
     await desk.showPicture();

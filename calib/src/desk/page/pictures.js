@@ -16,6 +16,7 @@ export function prefill(desk) {
   const name = (parts.pop() ?? "camera").replace(/[^\p{L}\p{N}_.-]/gu, "-").slice(0, 24);
   if (!drawing.site) drawing.site = name;
   if (!drawing.camera_id) drawing.camera_id = name;
+  if (!drawing.source && desk.site.source) drawing.source = desk.site.source;
 }
 
 /** @type {Step} */
@@ -37,7 +38,7 @@ export const step = {
       el("p", { class: "dim" }, `${site.frames.length} pictures of ${site.image_size.join(" × ")} px in the folder.`),
       el("div", { class: `card ${few ? "fair" : "good"}` },
         `The picture without traffic is the median of ${site.used.length} of them, brought over each other.`,
-        few && el("div", { class: "fair-text", text: "With so few, vehicles may stay in it: put more pictures into the folder." }),
+        few && el("div", { class: "fair-text", text: "With so few, vehicles may stay in it: " + (site.camera ? "collect more." : "put more pictures into the folder.") }),
       ),
       out.size > 0 && el("div", { class: "card fair", id: "left-out" },
         el("b", { text: `${out.size} left out. ` }),
@@ -48,6 +49,10 @@ export const step = {
       name(desk, "Camera", "camera_id"),
       el("div", { class: "actions" },
         el("button", { class: "primary", id: "next", onclick: () => desk.go(1) }, "Measure the road"),
+        site.camera && el("button", {
+          id: "more", disabled: desk.store.changed, title: desk.store.changed ? "Save first: what is drawn goes onto the new pictures" : "",
+          onclick: () => { location.hash = "collect"; location.reload(); },
+        }, "Collect more"),
       ),
       el("h3", { text: "With traffic" }),
       el("div", { class: "thumbs" }, ...listed.map((file) => {

@@ -30,7 +30,7 @@ export const step = {
   movable: [],
   tools: () => [],
   hint: () => "",
-  done: (desk) => !!desk.kept.saved && !desk.store.changed,
+  done: (desk) => (!!desk.kept.saved || desk.site.saved) && !desk.store.changed && !desk.moved,
   paint: (desk, c, placed) => paintLanes(desk, c, placed, false),
   panel(desk) {
     const { drawing } = desk.store;
@@ -74,6 +74,7 @@ function saved(desk) {
     desk.store.changed && el("p", { class: "fair-text", text: "Something was changed since." }),
     el("table", { class: "files" }, ...result.files.map(([file, what]) => el("tr", {}, el("td", {}, el("code", { text: file })), el("td", { class: "dim", text: what })))),
     el("h3", { text: "What comes next" }),
+    el("div", { class: "actions" }, el("button", { class: "primary", id: "next", onclick: () => desk.go(5) }, "Audit the counts")),
     el("p", {}, el("code", { text: `verge check --config ${folder}/verge.toml` })),
     el("p", {}, el("code", { text: `verge replay --table ${folder}/lanes.lut --frames DIR` })),
   ];

@@ -45,6 +45,20 @@ export const count = (drawing) => post("api/count", drawing);
 export const traffic = () => get("api/traffic");
 /** @returns {Promise<import("./types.js").TrafficState>} */
 export const search = () => post("api/traffic", {});
+/** @returns {Promise<import("./types.js").AuditState>} */
+export const audit = () => get("api/audit");
+/** @returns {Promise<import("./types.js").AuditState>} */
+export const chooseAudit = () => post("api/audit/choose", {});
+/** @param {unknown} answers @returns {Promise<import("./types.js").AuditState>} */
+export const compareAudit = (answers) => post("api/audit/compare", answers);
+/** @returns {Promise<import("./types.js").CollectionState>} */
+export const collection = () => get("api/collect");
+/** @param {number} interval_s @param {number} for_s @returns {Promise<import("./types.js").CollectionState>} */
+export const collect = (interval_s, for_s) => post("api/collect", { interval_s, for_s });
+/** @returns {Promise<import("./types.js").CollectionState>} */
+export const stopCollecting = () => post("api/collect/stop", {});
+/** @returns {Promise<import("./types.js").CollectionState>} */
+export const useCollected = () => post("api/collect/use", {});
 /** @param {string} name @returns {Promise<import("./types.js").Shift>} */
 export const shift = (name) => get(`api/shift/${encodeURIComponent(name)}`);
 

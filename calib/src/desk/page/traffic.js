@@ -81,8 +81,6 @@ export const step = {
     return [
       el("h2", { text: "The traffic" }),
       ...(traffic.state === "done" ? counted(desk) : search(desk)),
-      el("h3", { text: "Audit" }),
-      el("p", { class: "dim", id: "audit", text: "Ten pictures counted by a person say how far the counts are off: `verge audit`, once the site is saved." }),
       el("div", { class: "actions" }, el("button", { class: "primary", id: "next", onclick: () => desk.go(4) }, "Save the site")),
     ];
   },
@@ -102,7 +100,7 @@ function search(desk) {
   if (!traffic.detector)
     return [el("div", { class: "card", id: "no-detector" }, "There is no detector here. Start the desk where the program ", el("code", { text: "verge" }), " and a model are (", el("code", { text: "--verge" }), ", ", el("code", { text: "--model" }), "), or go on: it is not needed to save the site.")];
   if (traffic.state === "running")
-    return [el("div", { class: "card" }, `Searching ${desk.site.frames.length} pictures for vehicles … ${traffic.running_s.toFixed(0)} s`)];
+    return [el("div", { class: "card" }, `Searching pictures for vehicles: ${traffic.searched} of ${desk.site.frames.length} … ${traffic.running_s.toFixed(0)} s`)];
   return [
     traffic.problem && el("div", { class: "card bad", text: traffic.problem }),
     el("p", { class: "dim", text: "Find the vehicles of the pictures, and see which lane each is counted in." }),

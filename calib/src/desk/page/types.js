@@ -82,9 +82,41 @@
  * @property {boolean} detector
  * @property {"idle" | "running" | "done" | "failed"} state
  * @property {number} running_s
+ * @property {number} searched
  * @property {string | null} problem
  * @property {number} frames
  * @property {number} boxes
+ */
+/**
+ * @typedef {Object} CollectionState
+ * @property {string | null} camera
+ * @property {"idle" | "running" | "done" | "failed"} state
+ * @property {number} running_s
+ * @property {number} interval_s
+ * @property {number} for_s
+ * @property {number} collected
+ * @property {string | null} latest
+ * @property {number} pictures
+ * @property {string | null} problem
+ */
+/**
+ * @typedef {Object} AuditResult
+ * @property {{frame: string, people: number, line: number}[]} frames
+ * @property {number} vehicles
+ * @property {number} stated_score
+ * @property {{score: number | null, by_load: {counted: number, factor: number, factor_se: number}[], vehicles_se: number}} correction
+ */
+/**
+ * @typedef {Object} AuditState
+ * @property {boolean} detector
+ * @property {number[]} lanes
+ * @property {boolean} audited
+ * @property {"idle" | "running" | "done" | "failed"} choosing
+ * @property {string[]} frames
+ * @property {"idle" | "running" | "done" | "failed"} comparing
+ * @property {number} running_s
+ * @property {AuditResult | null} result
+ * @property {string | null} problem
  */
 /**
  * @typedef {Object} Site
@@ -102,6 +134,8 @@
  * @property {string[]} key_points
  * @property {number | null} interval_s
  * @property {TrafficState} traffic
+ * @property {string | null} camera
+ * @property {string | null} source
  */
 /** @typedef {{corners: [number, number, number, number], score: number, class: string, lane: number | null, s_m: number | null}} Counted */
 /** @typedef {{frames: {frame: string, boxes: Counted[]}[], lanes: {lane: number, length_m: number, vehicles: number}[]}} Counts */

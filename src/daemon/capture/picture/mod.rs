@@ -5,6 +5,7 @@
 //! `png`. Nothing that stands beside the pixels is unpacked: a profile or a text of a few bytes
 //! may unpack to gigabytes.
 
+pub mod encode;
 pub mod jpeg;
 pub mod kind;
 pub mod pixels;

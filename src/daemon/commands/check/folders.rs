@@ -33,7 +33,7 @@ fn is_root() -> bool {
 
 /// Begins again as the unit does, where root tries the unit's configuration: what root may read
 /// and write says nothing. Returns only where that is not to be, or not possible.
-pub(super) fn become_the_units_user(config: &Path) {
+pub(in crate::daemon::commands) fn become_the_units_user(config: &Path) {
     if !is_units(config) || std::env::var_os(DONE).is_some() || !is_root() {
         return;
     }

@@ -3,7 +3,7 @@
 //! Two pictures are judged as the running line would judge them. What it would withhold for
 //! longer than a moment fails the check, so that nobody leaves a camera that looks elsewhere.
 
-mod folders;
+pub(super) mod folders;
 
 use crate::alarm::Alarm;
 use crate::daemon::address::masked;
@@ -160,7 +160,7 @@ fn draw(station: &Station, withheld: &str, file: &Path) -> Result<String, Failur
 }
 
 /// What the running line would make of it.
-fn withheld(alarm: Alarm) -> Failure {
+pub(super) fn withheld(alarm: Alarm) -> Failure {
     let hint = match alarm {
         Alarm::CameraMoved => {
             "the scene is not where the lane table has it: turn the camera back, or make a table"

@@ -8,6 +8,7 @@ use super::capture::{CaptureError, DeviceError, RecordingError, SourceError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
 use super::locate::LocateError;
+use super::output::WriteError;
 use super::publish::TlsError;
 use super::spool::SpoolError;
 use crate::density::AggregateError;
@@ -227,6 +228,12 @@ impl Exit for Failure {
             Self::Checks { code, .. } => *code,
             Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
         }
+    }
+}
+
+impl From<WriteError> for Failure {
+    fn from(WriteError { path, source }: WriteError) -> Self {
+        Self::Write { path, source }
     }
 }
 

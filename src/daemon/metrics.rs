@@ -4,8 +4,7 @@
 //! unless `metrics.file` is given; no socket is opened for it. What is not known is left
 //! out, never 0.
 
-use super::exit::Failure;
-use super::output::WholeFile;
+use super::output::{WholeFile, WriteError};
 use super::publish::payload::Health;
 use super::publish::window_name;
 use crate::alarm::Alarm;
@@ -55,15 +54,20 @@ impl Metrics {
     pub fn write(&mut self, health: &Health, alarms: &[Alarm], connected: bool) {
         match self.try_write(health, alarms, connected) {
             Ok(()) => self.failed = false,
-            Err(failure) => {
+            Err(error) => {
                 if !std::mem::replace(&mut self.failed, true) {
-                    log::warn!("no metrics: {failure}");
+                    log::warn!("no metrics: {error}");
                 }
             }
         }
     }
 
-    fn try_write(&self, health: &Health, alarms: &[Alarm], connected: bool) -> Result<(), Failure> {
+    fn try_write(
+        &self,
+        health: &Health,
+        alarms: &[Alarm],
+        connected: bool,
+    ) -> Result<(), WriteError> {
         let mut file = WholeFile::create(&self.file)?.for_everybody()?;
         file.line(self.text(health, alarms, connected).trim_end())?;
         file.finish()

@@ -4,10 +4,19 @@
 //! few seconds for years, and power cuts would leave one such file each on the box's flash. Here
 //! the next one takes the place of what a power cut left.
 
-use super::exit::Failure;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+
+/// A file that could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write {}: {source}", path.display())]
+pub struct WriteError {
+    /// The file.
+    pub path: PathBuf,
+    /// What the system says.
+    pub source: std::io::Error,
+}
 
 /// A file that appears under its name when it is finished.
 #[derive(Debug)]
@@ -22,13 +31,13 @@ impl WholeFile {
     /// Begins a file that will be `path`.
     ///
     /// # Errors
-    /// [`Failure::Write`], as all that follow.
-    pub fn create(path: &Path) -> Result<Self, Failure> {
+    /// [`WriteError`], as all that follow.
+    pub fn create(path: &Path) -> Result<Self, WriteError> {
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(".partial");
         let partial = path.with_file_name(name);
         let file = File::create(&partial)
-            .map_err(|source| Failure::Write { path: path.to_owned(), source })?;
+            .map_err(|source| WriteError { path: path.to_owned(), source })?;
         let writer = BufWriter::new(file);
         Ok(Self { path: path.to_owned(), partial, writer, finished: false })
     }
@@ -36,8 +45,8 @@ impl WholeFile {
     /// Everybody may read it, whatever the umask: it is made for another program's user.
     ///
     /// # Errors
-    /// [`Failure::Write`].
-    pub fn for_everybody(self) -> Result<Self, Failure> {
+    /// [`WriteError`].
+    pub fn for_everybody(self) -> Result<Self, WriteError> {
         use std::os::unix::fs::PermissionsExt;
         let mode = fs::Permissions::from_mode(0o644);
         match self.writer.get_ref().set_permissions(mode) {
@@ -49,24 +58,24 @@ impl WholeFile {
     /// Adds a line.
     ///
     /// # Errors
-    /// [`Failure::Write`].
-    pub fn line(&mut self, line: &str) -> Result<(), Failure> {
+    /// [`WriteError`].
+    pub fn line(&mut self, line: &str) -> Result<(), WriteError> {
         writeln!(self.writer, "{line}").map_err(|source| self.failed(source))
     }
 
     /// Adds bytes.
     ///
     /// # Errors
-    /// [`Failure::Write`].
-    pub fn bytes(&mut self, bytes: &[u8]) -> Result<(), Failure> {
+    /// [`WriteError`].
+    pub fn bytes(&mut self, bytes: &[u8]) -> Result<(), WriteError> {
         self.writer.write_all(bytes).map_err(|source| self.failed(source))
     }
 
     /// Puts the file in its place.
     ///
     /// # Errors
-    /// [`Failure::Write`].
-    pub fn finish(mut self) -> Result<(), Failure> {
+    /// [`WriteError`].
+    pub fn finish(mut self) -> Result<(), WriteError> {
         let synced = self.writer.flush().and_then(|()| self.writer.get_ref().sync_all());
         synced
             .and_then(|()| fs::rename(&self.partial, &self.path))
@@ -75,8 +84,8 @@ impl WholeFile {
         Ok(())
     }
 
-    fn failed(&self, source: std::io::Error) -> Failure {
-        Failure::Write { path: self.path.clone(), source }
+    fn failed(&self, source: std::io::Error) -> WriteError {
+        WriteError { path: self.path.clone(), source }
     }
 }
 

@@ -3,8 +3,7 @@
 //! Owns the file and when it may be used. Read at the start and at each reload, as the lane table
 //! is.
 
-use crate::daemon::exit::Failure;
-use crate::daemon::output::WholeFile;
+use crate::daemon::output::{WholeFile, WriteError};
 use crate::density::SiteCorrection;
 use crate::wire::hex;
 use serde::{Deserialize, Serialize};
@@ -129,10 +128,11 @@ impl SiteFile {
     /// Writes the file, whole or not at all.
     ///
     /// # Errors
-    /// [`Failure::Write`].
-    pub fn write(&self, path: &Path) -> Result<(), Failure> {
-        let text = toml::to_string(self)
-            .map_err(|error| Failure::Internal(format!("the site's file: {error}")))?;
+    /// [`WriteError`].
+    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+        let failed =
+            |error| WriteError { path: path.to_owned(), source: std::io::Error::other(error) };
+        let text = toml::to_string(self).map_err(failed)?;
         let mut file = WholeFile::create(path)?;
         file.line("# Made by `verge audit`. Holds for this model, input and lane table only.")?;
         file.line(text.trim_end())?;

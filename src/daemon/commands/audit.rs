@@ -115,7 +115,7 @@ fn choose_frames(args: &Args, mut line: Line) -> Result<(), Failure> {
         let drawn = drawn.map_err(|error| Failure::Internal(format!("{}: {error}", frame.name)))?;
         let mut file = WholeFile::create(&path)?;
         file.bytes(&drawn)?;
-        file.finish()
+        Ok(file.finish()?)
     })?;
     let mut file = WholeFile::create(&counts)?;
     file.line(template(chosen.iter().copied(), &lanes).trim_end())?;

@@ -226,7 +226,7 @@ impl Output {
     /// Adds a line. A reader that has gone away (`| head`) ends the program in silence.
     fn line(&mut self, text: &str) -> Result<(), Failure> {
         match self {
-            Self::File(file) => file.line(text),
+            Self::File(file) => Ok(file.line(text)?),
             Self::Stream(stream) => match writeln!(stream, "{text}") {
                 Err(error) if error.kind() == ErrorKind::BrokenPipe => std::process::exit(0),
                 written => written.map_err(|source| Failure::Write {
@@ -239,7 +239,7 @@ impl Output {
 
     fn finish(self) -> Result<(), Failure> {
         match self {
-            Self::File(file) => file.finish(),
+            Self::File(file) => Ok(file.finish()?),
             Self::Stream(_) => Ok(()),
         }
     }

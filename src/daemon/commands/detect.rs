@@ -58,5 +58,5 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             Ok(())
         },
     )?;
-    file.finish()
+    Ok(file.finish()?)
 }

@@ -115,7 +115,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             window.report.lanes.iter().try_for_each(|lane| print(&text::lane(window.report, lane)))
         }
     })?;
-    detections.map_or(Ok(()), WholeFile::finish)
+    detections.map_or(Ok(()), |file| Ok(file.finish()?))
 }
 
 /// The folder of drawn frames.
@@ -143,7 +143,7 @@ impl<'a> Overlays<'a> {
         let name = name.to_string_lossy().replace(['/', '\\'], "_");
         let mut file = WholeFile::create(&self.0.join(name))?;
         file.bytes(&drawn)?;
-        file.finish()
+        Ok(file.finish()?)
     }
 }
 

@@ -11,18 +11,19 @@ mod cells;
 mod counts;
 mod error;
 
-pub use cells::{Cells, Division, MAX_LANE_CELLS};
+pub use crate::report::{
+    Cells, DensityError, LaneReport, MAX_LANE_CELLS, SampleZoneStatus, WindowReport,
+};
+pub use cells::Division;
 pub use counts::FrameCounts;
-pub use error::{Counting, DensityError, Errors, LOADS, LoadBias, SiteCorrection, Spread};
+pub use error::{Counting, Errors, LOADS, LoadBias, SiteCorrection, Spread};
 
 use crate::lane::Lane;
 use crate::picture::Light;
-use crate::traffic::LaneTraffic;
-use crate::units::{Direction, LaneId, MAX_LANES, UtcMs, VehicleClass, millis};
+use crate::units::{MAX_LANES, UtcMs, millis};
 use core::time::Duration;
 use counts::Series;
 use error::Load;
-use serde::{Deserialize, Serialize};
 
 /// Most windows that run side by side: 10 s, 60 s, 5 min, 15 min and two more.
 pub const MAX_WINDOWS: usize = 6;
@@ -34,71 +35,6 @@ pub const MAX_WINDOW_S: u64 = 900;
 /// waits until the time has come that was reported already. An hour, as a clock errs that
 /// takes local time for UTC.
 pub const MAX_WAIT: Duration = Duration::from_secs(3600);
-
-/// How far a reading can be used: the values of NTCIP 1209 `sampleZoneStatus` in use here.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum SampleZoneStatus {
-    /// `oK`, 2.
-    #[default]
-    Ok,
-    /// `sensorFailure`, 10: no picture.
-    SensorFailure,
-    /// `inputDataIntegrity`, 11: frozen, damaged or too few pictures.
-    InputDataIntegrity,
-    /// `poorContrast`, 12: blinded or too dark.
-    PoorContrast,
-    /// `detectionAutoSuspended`, 13: the camera has moved.
-    DetectionAutoSuspended,
-}
-
-/// One lane in one window. `None` where nothing can be said, never 0.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LaneReport {
-    /// The lane.
-    pub lane: LaneId,
-    /// Which way its traffic moves.
-    pub direction: Direction,
-    /// Density k, veh/km.
-    pub density_veh_km: Option<f32>,
-    /// One standard error of the density from sampling, veh/km.
-    pub density_se: Option<f32>,
-    /// Mean number of vehicles in the lane.
-    pub vehicles_mean: Option<f32>,
-    /// The same by class, in the order of [`VehicleClass::ALL`].
-    pub by_class: Option<[f32; VehicleClass::COUNT]>,
-    /// Share of the lane's length that vehicles cover (nominal lengths), 0 to 1.
-    pub space_occupancy: Option<f32>,
-    /// The lane's length, m.
-    pub length_m: f32,
-    /// Frames that were used.
-    pub frames_used: u32,
-    /// Frames that the window would have at the camera's rate.
-    pub frames_expected: u32,
-    /// How far this reading can be used.
-    pub status: SampleZoneStatus,
-    /// Density along the lane; `None` in messages from before it was measured. Not in the
-    /// postcard form of this type: `wire` writes it behind the rest of a message.
-    #[serde(skip)]
-    pub cells: Option<Cells>,
-    /// What errs beside sampling, and the interval of all together; `None` where a part of it
-    /// is not known. Written as `cells` are.
-    #[serde(skip)]
-    pub error: Option<DensityError>,
-    /// Flow and speed; `None` where vehicles are not followed. Written as `cells` are.
-    #[serde(skip)]
-    pub traffic: Option<LaneTraffic>,
-}
-
-/// All lanes in one window.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct WindowReport {
-    /// Its beginning, a multiple of its length since 1970.
-    pub from: UtcMs,
-    /// Its end.
-    pub to: UtcMs,
-    /// One entry a lane, by rising number.
-    pub lanes: heapless::Vec<LaneReport, MAX_LANES>,
-}
 
 /// Reports that one call closes, one a window at most.
 pub type Closed<const W: usize = MAX_WINDOWS> = heapless::Vec<WindowReport, W>;

@@ -21,6 +21,7 @@ pub mod lane;
 pub mod messages;
 pub mod node;
 pub mod picture;
+mod report;
 pub mod scene;
 pub mod sensor;
 pub mod track;

@@ -1,13 +1,11 @@
-//! The core's values as the messages of `verge_messages`: a window with who measured it,
-//! statuses, alarms.
+//! The core's values as the messages of `verge_messages`: a window with who measured it.
 //!
 //! Owns the step from the core's types to those that leave the box, for the daemon, which
 //! writes them, and for the centre, which reads the compact form. Every `match` names all
 //! there is and every type is taken apart, so that what is added in the core is not forgotten.
 
-use crate::alarm::Alarm;
+use crate::density::WindowReport;
 use crate::density::{Cells, LaneReport, MAX_LANE_CELLS, MAX_WINDOW_S, MIN_WINDOW_S};
-use crate::density::{SampleZoneStatus, WindowReport};
 use crate::lane::MAX_NAME;
 use crate::traffic::{LaneTraffic, Section};
 use crate::units::{Direction, MAX_LANES, UtcMs, VehicleClass};
@@ -70,7 +68,7 @@ fn lane(report: &LaneReport) -> messages::Lane {
         length_m: rounded(*length_m),
         frames_used: *frames_used,
         frames_expected: *frames_expected,
-        status: (*status).into(),
+        status: *status,
         cells: cells.as_ref().map(|Cells { length_m, density_veh_km }| messages::Cells {
             length_m: rounded(*length_m),
             density_veh_km: density_veh_km
@@ -90,7 +88,7 @@ fn traffic(traffic: &LaneTraffic) -> messages::Traffic {
     let LaneTraffic { queue_max_m, density_difference, .. } = traffic;
     let at_section = |of: fn(&Section) -> Option<f32>| section.as_ref().and_then(of).map(rounded);
     messages::Traffic {
-        traffic_status: (*status).into(),
+        traffic_status: *status,
         flow_veh_h: flow_veh_h.map(rounded),
         flow_ci90: flow_ci90.map(|interval| interval.map(rounded)),
         speed_kmh: speed_kmh.map(rounded),
@@ -146,45 +144,9 @@ impl From<Direction> for messages::Direction {
     }
 }
 
-impl From<SampleZoneStatus> for messages::Status {
-    fn from(status: SampleZoneStatus) -> Self {
-        match status {
-            SampleZoneStatus::Ok => Self::Ok,
-            SampleZoneStatus::SensorFailure => Self::SensorFailure,
-            SampleZoneStatus::InputDataIntegrity => Self::InputDataIntegrity,
-            SampleZoneStatus::PoorContrast => Self::PoorContrast,
-            SampleZoneStatus::DetectionAutoSuspended => Self::DetectionAutoSuspended,
-        }
-    }
-}
-
-impl From<Alarm> for messages::Alarm {
-    fn from(alarm: Alarm) -> Self {
-        match alarm {
-            Alarm::NoPicture => Self::NoPicture,
-            Alarm::FrozenPicture => Self::FrozenPicture,
-            Alarm::BlankPicture => Self::BlankPicture,
-            Alarm::BlindedPicture => Self::BlindedPicture,
-            Alarm::BlurredPicture => Self::BlurredPicture,
-            Alarm::CameraMoved => Self::CameraMoved,
-            Alarm::Overheated => Self::Overheated,
-            Alarm::BoardFault => Self::BoardFault,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn alarms_have_one_name() {
-        let all = Alarm::ALL.map(messages::Alarm::from);
-        // One more is the daemon's own: the core knows no certificates.
-        let own = messages::Alarm::CertificateExpires;
-        assert_eq!([&all[..], &[own]].concat(), messages::Alarm::ALL);
-        assert_eq!(all.map(messages::Alarm::name), Alarm::ALL.map(Alarm::name));
-    }
 
     #[test]
     fn classes_have_one_name() {

@@ -1,10 +1,13 @@
-//! The alarms and the message that raises or clears one: `<root>/alarm/<name>`.
+//! The alarms: what the sensor says of itself beyond numbers.
+//!
+//! Owns their names and the status that each gives to measurements, for the core as for messages.
+//! When they are raised is decided in `verge::health` and `verge::sensor`; the one of certificates
+//! by the daemon.
 
-use crate::wrong::{name, time};
-use crate::{Schema, Utc, Wrong};
+use crate::Status;
 use serde::{Deserialize, Serialize};
 
-/// What is wrong at the box or with its pictures.
+/// What is wrong at the box or with its pictures: raised, and cleared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(inline))]
 #[serde(rename_all = "snake_case")]
@@ -13,17 +16,17 @@ pub enum Alarm {
     NoPicture,
     /// The same picture for longer than the limit.
     FrozenPicture,
-    /// Black pictures, or of one colour.
+    /// Black pictures, or of one colour, for longer than the limit.
     BlankPicture,
-    /// Sun, headlights or fog.
+    /// Sun, headlights or fog for longer than the limit.
     BlindedPicture,
-    /// Nothing sharp in the pictures.
+    /// Nothing sharp in the pictures for longer than the limit.
     BlurredPicture,
     /// The camera looks at none of its presets.
     CameraMoved,
-    /// The enclosure is too warm to measure at the full pace.
+    /// Heat in the enclosure slows the line or stops it.
     Overheated,
-    /// A part of the board does not work.
+    /// A part of the board fails: lamp, relay, watchdog or thermometer.
     BoardFault,
     /// A certificate that is in use ends within 14 days, or has.
     CertificateExpires,
@@ -57,40 +60,26 @@ impl Alarm {
             Self::CertificateExpires => "certificate_expires",
         }
     }
-}
 
-/// Published on `<root>/alarm/<name>`, QoS 1, retained, when it is raised and when it is over.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(title = "verge alarm"))]
-pub struct AlarmMessage {
-    /// Version of the message.
-    #[serde(default)]
-    pub schema: Schema,
-    /// Who.
-    #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
-    pub site: String,
-    /// Since when.
-    pub time: Utc,
-    /// Which.
-    pub name: Alarm,
-    /// Raised, or over.
-    pub active: bool,
-}
+    /// How far a measurement can be used while it lasts. One at half the pace, or on a board
+    /// whose lamp fails, is as good as any.
+    pub const fn status(self) -> Status {
+        match self {
+            Self::NoPicture | Self::BlankPicture => Status::SensorFailure,
+            Self::FrozenPicture => Status::InputDataIntegrity,
+            Self::BlindedPicture | Self::BlurredPicture => Status::PoorContrast,
+            Self::CameraMoved => Status::DetectionAutoSuspended,
+            Self::Overheated | Self::BoardFault | Self::CertificateExpires => Status::Ok,
+        }
+    }
 
-impl AlarmMessage {
-    /// Refuses what no box publishes.
-    ///
-    /// # Errors
-    /// The first [`Wrong`] field.
-    pub fn check(&self) -> Result<(), Wrong> {
-        let Self { schema: _, site, time: at, name: _, active: _ } = self;
-        name("site", site)?;
-        time("time", *at)
+    /// Whether switching the camera off and on may help.
+    pub const fn is_of_camera(self) -> bool {
+        matches!(self, Self::NoPicture | Self::FrozenPicture | Self::BlankPicture)
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "json"))]
 mod tests {
     use super::*;
 
@@ -100,19 +89,5 @@ mod tests {
             let json = serde_json::to_string(&alarm).expect("a name");
             assert_eq!(json, format!("{:?}", alarm.name()));
         }
-    }
-
-    #[test]
-    fn golden_bytes() {
-        let message = AlarmMessage {
-            schema: Schema::default(),
-            site: "k109f".into(),
-            time: Utc(1_767_600_000_000),
-            name: Alarm::CameraMoved,
-            active: true,
-        };
-        let golden = "{\"schema\":1,\"site\":\"k109f\",\"time\":\"2026-01-05T08:00:00.000Z\",\
-            \"name\":\"camera_moved\",\"active\":true}";
-        assert_eq!(String::from_utf8(crate::json(&message)).expect("JSON"), golden);
     }
 }

@@ -21,87 +21,63 @@
 //! A field that is added changes no version. One that goes, or means something else, is a new
 //! [`SCHEMA`]. A place came with a version of its own, [`SCHEMA_WITH_PLACE`]: a message without one
 //! has the bytes it always had.
+//!
+//! Without the feature `json` there is what the core says by these words, alarms and statuses,
+//! and no std.
+#![cfg_attr(not(feature = "json"), no_std)]
 
 mod alarm;
+#[cfg(feature = "json")]
+mod alarm_message;
 #[cfg(feature = "schema")]
 pub mod asyncapi;
+#[cfg(feature = "json")]
 mod density;
 #[cfg(feature = "formats")]
 pub mod formats;
+#[cfg(feature = "json")]
 mod health;
+#[cfg(feature = "json")]
 pub mod objects;
+#[cfg(feature = "json")]
 mod place;
+#[cfg(feature = "json")]
 mod presence;
+#[cfg(feature = "json")]
 mod read;
+#[cfg(feature = "json")]
+mod schema;
 mod status;
+#[cfg(feature = "json")]
 mod time;
+#[cfg(feature = "json")]
 mod topic;
+#[cfg(feature = "json")]
 mod traffic;
+#[cfg(feature = "json")]
 mod wrong;
 
-pub use alarm::{Alarm, AlarmMessage};
-pub use density::{
-    ByClass, Calibration, Cells, Density, Direction, LONGEST_WINDOW_S, Lane, MOST_CELLS,
-    MOST_LANES, Model, SHORTEST_WINDOW_S, rounded,
-};
-pub use health::{
-    Aim, Board, BoardFaults, Camera, Following, Frames, Health, Light, Messages, Pace, Stream,
-};
-pub use place::{LONGEST_PLACE, LaneName, Place, check_lane};
-pub use presence::Presence;
-pub use read::{ReadError, read, read_alarm, read_health};
+pub use alarm::Alarm;
 pub use status::Status;
-pub use time::{Utc, rfc3339};
-pub use topic::{Kind, Topic, window_name};
-pub use traffic::{Passed, Traffic};
-pub use wrong::Wrong;
+#[cfg(feature = "json")]
+pub use {
+    alarm_message::AlarmMessage,
+    density::{
+        ByClass, Calibration, Cells, Density, Direction, LONGEST_WINDOW_S, Lane, MOST_CELLS,
+        MOST_LANES, Model, SHORTEST_WINDOW_S, rounded,
+    },
+    health::{
+        Aim, Board, BoardFaults, Camera, Following, Frames, Health, Light, Messages, Pace, Stream,
+    },
+    place::{LONGEST_PLACE, LaneName, Place, check_lane},
+    presence::Presence,
+    read::{ReadError, read, read_alarm, read_health},
+    schema::{SCHEMA, SCHEMA_WITH_PLACE, Schema, json},
+    time::{Utc, rfc3339},
+    topic::{Kind, Topic, window_name},
+    traffic::{Passed, Traffic},
+    wrong::Wrong,
+};
 
-use serde::{Deserialize, Serialize};
-
-/// Version of a JSON message without a place; a reader refuses a version that it does not know.
-pub const SCHEMA: u32 = 1;
-/// Version of a density message that says where its site is.
-pub const SCHEMA_WITH_PLACE: u32 = 2;
 /// Longest name of a site, calibration or model, bytes.
 pub const LONGEST_NAME: usize = 48;
-
-/// The version that a message is written in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Schema(u32);
-
-impl Default for Schema {
-    fn default() -> Self {
-        Self(SCHEMA)
-    }
-}
-
-#[cfg(feature = "schema")]
-impl schemars::JsonSchema for Schema {
-    fn inline_schema() -> bool {
-        true
-    }
-
-    fn schema_name() -> std::borrow::Cow<'static, str> {
-        "Schema".into()
-    }
-
-    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        schemars::json_schema!({ "const": SCHEMA })
-    }
-}
-
-impl Schema {
-    /// Of a density message that says where its site is.
-    pub(crate) const WITH_PLACE: Self = Self(SCHEMA_WITH_PLACE);
-
-    /// Whether this program reads it.
-    pub(crate) const fn is_known(self) -> bool {
-        matches!(self.0, SCHEMA | SCHEMA_WITH_PLACE)
-    }
-}
-
-/// A message in JSON.
-pub fn json(message: &impl Serialize) -> Vec<u8> {
-    serde_json::to_vec(message).expect("these types have string keys and no failing parts")
-}

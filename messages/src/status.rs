@@ -3,11 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 /// How far a reading can be used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "status"))]
 #[serde(rename_all = "camelCase")]
 pub enum Status {
     /// It can.
+    #[default]
     #[serde(rename = "oK")]
     Ok,
     /// No picture.
@@ -53,7 +54,7 @@ impl Status {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "json"))]
 mod tests {
     use super::*;
 

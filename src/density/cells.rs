@@ -5,12 +5,8 @@
 //! more, and what it covers of the next cell is not counted there.
 
 use crate::lane::Lane;
+use crate::report::MAX_LANE_CELLS;
 use crate::units::MAX_LANES;
-use serde::{Deserialize, Serialize};
-
-/// Most cells of a lane: 320 m at 10 m, beyond which a camera tells no vehicles apart. A
-/// longer lane gets longer cells. Each costs four bytes a window and lane.
-pub const MAX_LANE_CELLS: usize = 32;
 
 /// How a lane is divided.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -53,15 +49,6 @@ impl Division {
     pub fn cell(self, s_m: f32) -> usize {
         ((s_m / self.cell_m) as usize).min(self.count().saturating_sub(1))
     }
-}
-
-/// Density along a lane, in equal cells from its upstream end.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Cells {
-    /// Length of each cell, m.
-    pub length_m: f32,
-    /// Density of each, veh/km; their mean is the lane's. `None` where the lane's is.
-    pub density_veh_km: Option<heapless::Vec<f32, MAX_LANE_CELLS>>,
 }
 
 #[cfg(test)]

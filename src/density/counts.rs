@@ -1,8 +1,9 @@
 //! Counts of one frame, and their sums over the frames of a window.
 
-use super::cells::{Cells, Division, MAX_LANE_CELLS};
+use super::cells::Division;
 use crate::lane::Lane;
 use crate::picture::Light;
+use crate::report::{Cells, MAX_LANE_CELLS};
 use crate::units::{LaneId, MAX_LANES, VehicleClass};
 
 /// What one frame shows in one lane.

@@ -11,23 +11,13 @@
 //! in an empty road too (a mark that passes for a car). The interval is k plus and minus 1.645 of
 //! the joint standard error, which holds 90 % of a normal error, and not below 0.
 
+use crate::report::DensityError;
 use serde::{Deserialize, Serialize};
 
 /// Standard errors to each side of the mean that hold 90 % of a normal distribution.
 const Z90: f32 = 1.645;
 /// Loads at which a site's count bias is known.
 pub const LOADS: usize = 3;
-
-/// Errors of one density that more frames do not make smaller, and its interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct DensityError {
-    /// One standard error from the calibration, veh/km.
-    pub calibration: f32,
-    /// One standard error from counting, veh/km.
-    pub counting: f32,
-    /// Interval that holds the density with a probability of 90 %, veh/km.
-    pub ci90: [f32; 2],
-}
 
 /// One standard error of a camera's mean count, over cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]

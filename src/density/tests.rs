@@ -2,6 +2,7 @@
 
 use super::counts::LaneCount;
 use super::*;
+use crate::units::{Direction, LaneId, VehicleClass};
 use std::vec::Vec;
 
 const MINUTE: Duration = Duration::from_secs(60);

@@ -12,13 +12,13 @@
 
 mod sums;
 
+pub use crate::report::{LaneTraffic, Section};
 pub use sums::Sums;
 
-use crate::density::{LaneReport, SampleZoneStatus, WindowReport};
+use crate::report::{LaneReport, SampleZoneStatus, WindowReport};
 use crate::track::LaneMoves;
-use crate::units::{LaneId, MAX_LANES, UtcMs, VehicleClass};
+use crate::units::{LaneId, MAX_LANES, UtcMs};
 use core::time::Duration;
-use serde::{Deserialize, Serialize};
 
 /// Standard errors to each side of the mean that hold 90 % of a normal distribution.
 const Z90: f32 = 1.645;
@@ -27,48 +27,6 @@ const LENGTH_REL_ERR: f32 = 0.06;
 /// The density by Edie's definition and the mean of pictures may differ by this part, and by so
 /// many veh/km beside; else neither is trusted to give flow.
 const DIFFERENCE: (f32, f32) = (0.3, 3.0);
-
-/// Flow, speed and occupancy of a lane in a window. `None` where nothing can be said, never 0.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LaneTraffic {
-    /// How far these readings can be used.
-    pub status: SampleZoneStatus,
-    /// Flow q over the whole lane, veh/h.
-    pub flow_veh_h: Option<f32>,
-    /// Interval that holds it with a probability of 90 %.
-    pub flow_ci90: Option<[f32; 2]>,
-    /// Space-mean speed v over the whole lane, km/h; `None` too where no vehicle was on it.
-    pub speed_kmh: Option<f32>,
-    /// Interval that holds it with a probability of 90 %.
-    pub speed_ci90: Option<[f32; 2]>,
-    /// Share of the time for which a vehicle covered the section, 0 to 1.
-    pub time_occupancy: Option<f32>,
-    /// Interval that holds it with a probability of 90 %.
-    pub time_occupancy_ci90: Option<[f32; 2]>,
-    /// What passed the section.
-    pub section: Option<Section>,
-    /// Mean length of the longest queue, m.
-    pub queue_m: Option<f32>,
-    /// The most of it, m.
-    pub queue_max_m: Option<f32>,
-    /// Density by the mean of pictures less that by Edie's definition, veh/km: a check on both.
-    pub density_difference: Option<f32>,
-}
-
-/// What passed the section of a lane.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Section {
-    /// Vehicles, by class in the order of [`VehicleClass::ALL`].
-    pub by_class: [u16; VehicleClass::COUNT],
-    /// The same an hour, veh/h.
-    pub flow_veh_h: f32,
-    /// Time-mean speed, km/h.
-    pub speed_time_mean_kmh: Option<f32>,
-    /// Mean time from one vehicle to the next, s.
-    pub headway_s: Option<f32>,
-    /// Standard deviation of that time, s.
-    pub headway_sd_s: Option<f32>,
-}
 
 #[derive(Clone, Debug)]
 struct Window {

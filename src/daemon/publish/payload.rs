@@ -11,7 +11,7 @@ use crate::wire::DensityMessage;
 
 /// The name of a status in messages: its label in NTCIP 1209.
 pub fn status_name(status: SampleZoneStatus) -> &'static str {
-    verge_messages::Status::from(status).name()
+    status.name()
 }
 
 /// One window of one site, in JSON. `done` stands in replayed windows alone: whether it is the

@@ -94,7 +94,7 @@ impl Hands {
             schema: payload::Schema::default(),
             site: self.site.clone(),
             time: clock::now().into(),
-            name: alarm.into(),
+            name: alarm,
             active,
         });
     }
@@ -156,6 +156,11 @@ impl Hands {
         Some(certificate::days_left(end, clock::now()))
     }
 
+    /// The alarm of certificates, while it is on.
+    pub fn certificate_alarm(&self) -> Option<Alarm> {
+        (self.expiry_told == Some(true)).then_some(Alarm::CertificateExpires)
+    }
+
     /// Raises the alarm of a certificate that ends soon, or clears it.
     fn watch_certificates(&mut self) {
         let Some(days) = self.certificate_days() else { return };
@@ -173,7 +178,7 @@ impl Hands {
             schema: payload::Schema::default(),
             site: self.site.clone(),
             time: clock::now().into(),
-            name: verge_messages::Alarm::CertificateExpires,
+            name: Alarm::CertificateExpires,
             active: is_soon,
         });
     }

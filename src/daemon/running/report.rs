@@ -41,8 +41,8 @@ impl Running {
             site: self.config.site.id.clone(),
             time: clock::now().into(),
             version: env!("CARGO_PKG_VERSION").into(),
-            status: actions.status.into(),
-            alarm: actions.alarm.map(Into::into),
+            status: actions.status,
+            alarm: actions.alarm,
             uptime_s: self.since_start().as_secs(),
             clock_synced: clock::is_synchronised(),
             camera: camera(line),
@@ -83,7 +83,7 @@ impl Running {
             last_fault: self.hands.fault().map(str::to_owned),
         };
         outlet.publisher().health(&health);
-        let alarms: Vec<_> = self.sensor.alarms().collect();
+        let alarms: Vec<_> = self.sensor.alarms().chain(self.hands.certificate_alarm()).collect();
         let is_open = outlet.is_open();
         if let Some(metrics) = &mut self.hands.metrics {
             metrics.write(&health, &alarms, is_open);

@@ -174,6 +174,7 @@ pub(super) fn withheld(alarm: Alarm) -> Failure {
         Alarm::NoPicture => "there is none",
         Alarm::Overheated => "the enclosure is too hot: shade it, air it",
         Alarm::BoardFault => "a part of the board fails",
+        Alarm::CertificateExpires => "a certificate ends soon: renew it",
     };
     Failure::Withheld { reason: alarm.name(), status: status_name(alarm.status()), hint }
 }

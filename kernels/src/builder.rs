@@ -1,13 +1,14 @@
 //! Putting a network together, operator by operator.
 
-use crate::isa::{Isa, traits};
-use crate::layout::{Block, lay_out};
+mod conv;
+mod finish;
+
+use crate::isa::Isa;
 use crate::moves::Rescale;
-use crate::net::{Net, Port, Program, Shape};
-use crate::pack::{Conv, QuantParams, Weights};
+use crate::net::Shape;
+use crate::op::Op;
+use crate::pack::QuantParams;
 use crate::pixels::Window;
-use crate::step::{BEHIND, Op, Place, Step};
-use std::sync::Arc;
 
 /// An activation of the network that is put together: pixels with their channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -120,65 +121,6 @@ impl Builder {
         }
         let to = from.map(|n| (n + 2 * pad - kernel) / stride + 1);
         Ok(Window { kernel, stride, pad, from, to })
-    }
-
-    /// A convolution.
-    ///
-    /// # Errors
-    /// [`PlanError`] where there is no kernel for it or lengths do not fit.
-    pub fn conv(&mut self, input: Tensor, conv: &Conv<'_>) -> Result<Tensor, PlanError> {
-        let Activation { shape, quant, .. } = self.activations[input.0].clone();
-        let window = self.window(input, [conv.kernel, conv.stride, conv.pad])?;
-        if conv.depthwise && (conv.channels != shape.channels || ![3, 5].contains(&conv.kernel)) {
-            return refuse(format!(
-                "depthwise over {} channels with {} outputs and a window of {}",
-                shape.channels, conv.channels, conv.kernel
-            ));
-        }
-        let expected = conv.weight_count(shape.channels);
-        let (weights, biases) = match conv.weights {
-            Weights::Int8 { values, bias, scales } => (values.len(), bias.len().min(scales.len())),
-            Weights::Float { values, bias } => (values.len(), bias.len()),
-        };
-        if weights != expected || biases != conv.channels {
-            return refuse(format!("{weights} weights and {biases} biases for {expected}"));
-        }
-        let [height, width] = window.to;
-        let out = Shape { height, width, channels: conv.channels };
-        let one = conv.kernel == 1 && conv.stride == 1 && conv.pad == 0;
-        let (channels, count) = (shape.channels, out.pixels());
-        let lanes = traits(self.isa).0;
-        let (op, scratch) = match (conv.weights, quant) {
-            (Weights::Int8 { values, scales, bias }, Some(quant)) => {
-                let packed = conv.pack(self.isa, quant, channels, values, scales, bias);
-                let outside = quant.zero_point;
-                if conv.depthwise {
-                    let padded = channels.next_multiple_of(lanes);
-                    let column = conv.kernel.div_ceil(4) * 4 * padded;
-                    let scratch = (shape.width + 2 * conv.pad) * column;
-                    (Op::Depthwise { packed, window, outside }, scratch)
-                } else if one {
-                    (Op::Product { packed, count }, 0)
-                } else {
-                    let scratch = width * 4 * packed.fours;
-                    (Op::Dense { packed, window, channels, outside }, scratch)
-                }
-            }
-            (Weights::Float { values, bias }, None) if conv.out.is_none() => {
-                let packed = conv.pack_f(self.isa, channels, values, bias);
-                if conv.depthwise {
-                    (Op::DepthwiseF { packed, window }, 0)
-                } else if one {
-                    (Op::ProductF { packed, count }, 0)
-                } else {
-                    let scratch = width * 4 * packed.inputs;
-                    (Op::DenseF { packed, window, channels }, scratch)
-                }
-            }
-            _ => return refuse("weights of another kind than the activation"),
-        };
-        self.scratch = self.scratch.max(scratch);
-        Ok(self.push(op, [input; 2], out, conv.out))
     }
 
     /// The largest value under each window.
@@ -350,77 +292,6 @@ impl Builder {
         };
         let shape = Shape { height: 2 * shape.height, width: 2 * shape.width, channels };
         self.push(op, [input; 2], shape, quant)
-    }
-
-    /// Lays out the memory.
-    ///
-    /// # Errors
-    /// [`PlanError`] where there is no output.
-    pub fn finish(self, outputs: &[Tensor]) -> Result<Net, PlanError> {
-        if outputs.is_empty() {
-            return refuse("a network without an output");
-        }
-        let (offsets, bytes) = lay_out(&self.blocks(outputs));
-        let place = |tensor: Tensor| {
-            let (at, first) = self.whole(tensor);
-            let whole = &self.activations[at.0];
-            Place {
-                offset: offsets[at.0] + first * whole.width(),
-                stride: whole.shape.channels * whole.width(),
-            }
-        };
-        let steps = self.ops.iter().map(|(op, from, to)| Step {
-            op: op.clone(),
-            from: from.map(place),
-            to: place(*to),
-        });
-        let port = |&tensor: &Tensor| Port {
-            place: place(tensor),
-            shape: self.shape(tensor),
-            quant: self.quant_params(tensor),
-        };
-        Ok(Net::new(Arc::new(Program {
-            isa: self.isa,
-            steps: steps.collect(),
-            inputs: self.inputs.iter().map(port).collect(),
-            outputs: outputs.iter().map(port).collect(),
-            activations: bytes,
-            scratch: self.scratch,
-        })))
-    }
-
-    /// The activation that `tensor` is a part of, and its first channel there.
-    fn whole(&self, tensor: Tensor) -> (Tensor, usize) {
-        let (mut at, mut first) = (tensor, 0);
-        while let Some((whole, from)) = self.activations[at.0].part_of {
-            (at, first) = (whole, first + from);
-        }
-        (at, first)
-    }
-
-    /// What each activation takes of the memory; parts of others nothing.
-    fn blocks(&self, outputs: &[Tensor]) -> Vec<Block> {
-        let mut blocks = vec![Block { bytes: 0, life: (usize::MAX, 0) }; self.activations.len()];
-        let mut touch = |tensor: Tensor, at: usize| {
-            let (Tensor(i), _) = self.whole(tensor);
-            let activation = &self.activations[i];
-            let values = activation.shape.pixels() * activation.shape.channels;
-            let bytes = (values * activation.width() + BEHIND).next_multiple_of(64);
-            let (first, last) = blocks[i].life;
-            blocks[i] = Block { bytes, life: (first.min(at), last.max(at)) };
-        };
-        for &input in &self.inputs {
-            touch(input, 0);
-        }
-        for (i, (_, from, to)) in self.ops.iter().enumerate() {
-            for &tensor in from.iter().chain([to]) {
-                touch(tensor, i + 1);
-            }
-        }
-        for &output in outputs {
-            touch(output, self.ops.len() + 1);
-        }
-        blocks
     }
 }
 

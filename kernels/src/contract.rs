@@ -4,8 +4,8 @@
 //! of it lies inside the arena and that no output lies over an input; a plan that broke its
 //! promise would otherwise show as a wrong pixel, or not at all.
 
+use crate::op::{Arena, Op, Place, Step};
 use crate::pack::Packed;
-use crate::step::{Arena, Op, Place, Step};
 
 /// Pixels, and bytes of each.
 #[derive(Clone, Copy, Debug)]

@@ -24,6 +24,7 @@ mod lanes;
 mod layout;
 mod moves;
 mod net;
+mod op;
 mod pack;
 mod pixels;
 mod product;

@@ -1,8 +1,9 @@
 //! A network that is ready to run, on memory of its own.
 
 use crate::isa::Isa;
+use crate::op::{Arena, Place, Step};
 use crate::pack::QuantParams;
-use crate::step::{Arena, Place, Step, run_on};
+use crate::step::run_on;
 use std::sync::Arc;
 
 /// Height, width and channels of an activation.

@@ -4,83 +4,27 @@
 //! each other. Pictures come from `station`; what follows from what was counted is decided by
 //! the core's [`crate::sensor`].
 
-use super::audit::{MadeWith, SiteFile};
-use super::clock;
-use super::config::{NetInput, Views};
-use super::detect::regions::{Cars, Parts};
+mod open;
+mod pace;
+
+pub use open::{Judging, LineSettings};
+
+use super::detect::regions::Parts;
 use super::detect::{Detector, LoadOptions, Share};
 use super::exit::Failure;
 use super::frame::{Detection, Frame, PixelBox};
 use super::overlay;
-use super::presets::{Following, Preset, Presets, TableSettings, WindowSettings};
+use super::presets::{Following, Preset, Presets, WindowSettings};
 use super::scene::{Scene, View};
-use super::vehicles::{self, Vehicles};
+use super::vehicles::Vehicles;
 use crate::density::{Counting, Errors, FrameCounts};
 use crate::evidence::CarSize;
 use crate::picture::Light;
 use crate::sensor::{self, Outcome};
 use crate::units::ImagePoint;
 use crate::wire::ModelRef;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
-
-/// Share of the time between two pictures that the net may take of the processor: the rest is
-/// for the camera, the picture, and what else runs on the box.
-const NET_SHARE: f64 = 0.5;
-/// Share that one pass may take, before the net gets a smaller input.
-const NET_MOST: f64 = 0.8;
-
-/// Whether pictures are judged before they are measured: blank, blurred, unchanged, and whether
-/// the camera has moved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Judging {
-    /// They are, and what is not fit is withheld.
-    Heeded,
-    /// They are, and measured all the same: to time the line.
-    Ignored,
-    /// They are not.
-    Off,
-}
-
-impl From<bool> for Judging {
-    fn from(is_on: bool) -> Self {
-        if is_on { Self::Heeded } else { Self::Off }
-    }
-}
-
-/// What a line is built from.
-#[derive(Clone, Debug)]
-pub struct LineSettings {
-    /// The camera's lane tables.
-    pub tables: TableSettings,
-    /// Whether pictures are judged.
-    pub judging: Judging,
-    /// Sidecar or model.
-    pub model: PathBuf,
-    /// Overrides the model's least score, and the site's.
-    pub score: Option<f32>,
-    /// Columns and rows of the net's input.
-    pub input: NetInput,
-    /// The site's own file: what an audit has found.
-    pub audit: Option<PathBuf>,
-    /// Which parts of a picture are searched.
-    pub views: Views,
-}
-
-impl LineSettings {
-    /// For a recording, of whichever camera.
-    pub fn recorded(table: &Path, model: &Path) -> Self {
-        Self {
-            tables: TableSettings::of(table),
-            judging: Judging::Heeded,
-            model: model.to_owned(),
-            score: None,
-            input: NetInput::default(),
-            audit: None,
-            views: Views::default(),
-        }
-    }
-}
 
 /// A stage of the line, or a step of one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,77 +76,6 @@ pub struct Line {
 }
 
 impl Line {
-    /// Loads model and tables.
-    ///
-    /// # Errors
-    /// [`Failure`] names the file that is missing or wrong.
-    pub fn open(settings: &LineSettings) -> Result<Self, Failure> {
-        let presets = Presets::load(&settings.tables)?;
-        let references = presets.references()?;
-        let judging = settings.judging;
-        let scene = (judging != Judging::Off).then(|| Scene::new(references));
-        let cars = |preset: &Preset| Cars::along(preset.table(), |point| preset.place(point));
-        let cars: Vec<Cars> = presets.iter().map(cars).collect();
-        let model = Detector::described(&settings.model)?;
-        let input_px = match settings.input {
-            NetInput::Px(size) => size,
-            // Of several presets the one with the smallest cars decides.
-            NetInput::Auto => {
-                let own = [model.input.width_px, model.input.height_px];
-                let in_input = |(preset, cars): (&Preset, &Cars)| {
-                    let size = preset.table().image_size;
-                    let size = (usize::from(size.width), usize::from(size.height));
-                    cars.median_px.map(|px| px * vehicles::scale(own, size))
-                };
-                let smallest = presets.iter().zip(&cars).filter_map(in_input);
-                model.input_for(smallest.min_by(f32::total_cmp))
-            }
-        };
-        let options = LoadOptions {
-            score: settings.score,
-            input_px: Some(input_px),
-            candidates: true,
-            ..LoadOptions::default()
-        };
-        let detector = Detector::load_as(&settings.model, &options)?;
-        let site = settings.audit.as_deref().map(|file| {
-            let calibrations = |preset: &Preset| preset.table().calibration_sha256;
-            let calibrations: Vec<_> = presets.iter().map(calibrations).collect();
-            let camera = presets.active().table().camera_id.as_str();
-            let (model, input_px) = (detector.model().sha256, detector.input_size());
-            SiteFile::read(file, &MadeWith { camera, calibrations: &calibrations, model, input_px })
-        });
-        let site = site.transpose()?.map(|file| file.correction);
-        let least = settings.score.or(site.as_ref().and_then(|site| site.score));
-        let vehicles = Vehicles::new(model.evidence, least, input_px);
-        let errors = Errors { counting: model.counting, site };
-        let sizes = cars.iter().map(|cars| cars.size).collect();
-        let input = detector.input_size();
-        let parts = |preset: &Preset| match settings.views {
-            Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),
-            Views::Whole => Parts::WHOLE,
-        };
-        let parts = presets.iter().map(parts).collect();
-        let found = Vec::new();
-        let following = Following::Off;
-        let (file, is_input_set) = (settings.model.clone(), settings.input != NetInput::Auto);
-        Ok(Self {
-            file,
-            options,
-            is_input_set,
-            detector,
-            scene,
-            judging,
-            presets,
-            parts,
-            vehicles,
-            sizes,
-            errors,
-            found,
-            following,
-        })
-    }
-
     /// Windows over the lanes of its tables, for a camera with this time between frames.
     ///
     /// # Errors
@@ -224,63 +97,6 @@ impl Line {
     /// Whether vehicles are followed.
     pub const fn following(&self) -> Following {
         self.following
-    }
-
-    /// Keeps the net within the time between two pictures: each is searched once, and not its far
-    /// part again, where two passes take more than half of it; and where one takes more than
-    /// `NET_MOST`, the net gets the next smaller input of those that the model states. A box that
-    /// falls behind its camera loses windows, which is worse than a few vehicles more or less.
-    ///
-    /// # Errors
-    /// [`Failure::Detect`] where the net does not run, [`Failure::Model`] where it cannot be loaded
-    /// again.
-    pub fn keep_within(&mut self, interval: Duration) -> Result<(), Failure> {
-        loop {
-            // The first run brings the net's memory in.
-            self.detector.infer()?;
-            let begun = clock::processor_time();
-            self.detector.infer()?;
-            let took = clock::processor_time() - begun;
-            let passes = self.parts.iter().map(Parts::count).max().unwrap_or(0);
-            if passes > 1 && took.mul_f64(passes as f64) > interval.mul_f64(NET_SHARE) {
-                log::warn!(
-                    "the net takes {took:.0?}: with pictures each {interval:?} their far part is \
-                     not searched again (model.views)"
-                );
-                self.parts.iter_mut().for_each(Parts::keep_one);
-            }
-            if took <= interval.mul_f64(NET_MOST) {
-                return Ok(());
-            }
-            let [width, height] = self.input_size();
-            let Some(smaller) = self.smaller_input() else {
-                log::warn!(
-                    "the net takes {took:.0?} at {width}x{height}, with pictures each {interval:?}: \
-                     some will be left out (make camera.interval_s longer)"
-                );
-                return Ok(());
-            };
-            let [columns, rows] = smaller;
-            log::warn!(
-                "the net takes {took:.0?} at {width}x{height}, with pictures each {interval:?}: it \
-                 gets {columns}x{rows}, where small vehicles are found less often (make \
-                 camera.interval_s longer, or set model.input)"
-            );
-            let options = LoadOptions { input_px: Some(smaller), ..self.options };
-            self.detector = Detector::load_as(&self.file, &options)?;
-            self.vehicles = self.vehicles.with_input(smaller);
-        }
-    }
-
-    /// The model's next smaller input; `None` where the size is set, by the configuration or by an
-    /// audit that was made with it.
-    fn smaller_input(&self) -> Option<[usize; 2]> {
-        if self.is_input_set || self.errors.site.is_some() {
-            return None;
-        }
-        let [width, _] = self.input_size();
-        let steps = self.detector.sidecar().step.iter().rev();
-        steps.map(|step| [step.width_px, step.height_px]).find(|[columns, _]| *columns < width)
     }
 
     /// Measures one frame.

@@ -1,0 +1,140 @@
+//! What a line is built from, and its building.
+//!
+//! Owns which input, regions and corrections follow from model, lane tables and the site's file.
+
+use super::Line;
+use crate::daemon::audit::{MadeWith, SiteFile};
+use crate::daemon::config::{NetInput, Views};
+use crate::daemon::detect::regions::{Cars, Parts};
+use crate::daemon::detect::{Detector, LoadOptions};
+use crate::daemon::exit::Failure;
+use crate::daemon::presets::{Following, Preset, Presets, TableSettings};
+use crate::daemon::scene::Scene;
+use crate::daemon::vehicles::{self, Vehicles};
+use crate::density::Errors;
+use std::path::{Path, PathBuf};
+
+/// Whether pictures are judged before they are measured: blank, blurred, unchanged, and whether
+/// the camera has moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Judging {
+    /// They are, and what is not fit is withheld.
+    Heeded,
+    /// They are, and measured all the same: to time the line.
+    Ignored,
+    /// They are not.
+    Off,
+}
+
+impl From<bool> for Judging {
+    fn from(is_on: bool) -> Self {
+        if is_on { Self::Heeded } else { Self::Off }
+    }
+}
+
+/// What a line is built from.
+#[derive(Clone, Debug)]
+pub struct LineSettings {
+    /// The camera's lane tables.
+    pub tables: TableSettings,
+    /// Whether pictures are judged.
+    pub judging: Judging,
+    /// Sidecar or model.
+    pub model: PathBuf,
+    /// Overrides the model's least score, and the site's.
+    pub score: Option<f32>,
+    /// Columns and rows of the net's input.
+    pub input: NetInput,
+    /// The site's own file: what an audit has found.
+    pub audit: Option<PathBuf>,
+    /// Which parts of a picture are searched.
+    pub views: Views,
+}
+
+impl LineSettings {
+    /// For a recording, of whichever camera.
+    pub fn recorded(table: &Path, model: &Path) -> Self {
+        Self {
+            tables: TableSettings::of(table),
+            judging: Judging::Heeded,
+            model: model.to_owned(),
+            score: None,
+            input: NetInput::default(),
+            audit: None,
+            views: Views::default(),
+        }
+    }
+}
+
+impl Line {
+    /// Loads model and tables.
+    ///
+    /// # Errors
+    /// [`Failure`] names the file that is missing or wrong.
+    pub fn open(settings: &LineSettings) -> Result<Self, Failure> {
+        let presets = Presets::load(&settings.tables)?;
+        let references = presets.references()?;
+        let judging = settings.judging;
+        let scene = (judging != Judging::Off).then(|| Scene::new(references));
+        let cars = |preset: &Preset| Cars::along(preset.table(), |point| preset.place(point));
+        let cars: Vec<Cars> = presets.iter().map(cars).collect();
+        let model = Detector::described(&settings.model)?;
+        let input_px = match settings.input {
+            NetInput::Px(size) => size,
+            // Of several presets the one with the smallest cars decides.
+            NetInput::Auto => {
+                let own = [model.input.width_px, model.input.height_px];
+                let in_input = |(preset, cars): (&Preset, &Cars)| {
+                    let size = preset.table().image_size;
+                    let size = (usize::from(size.width), usize::from(size.height));
+                    cars.median_px.map(|px| px * vehicles::scale(own, size))
+                };
+                let smallest = presets.iter().zip(&cars).filter_map(in_input);
+                model.input_for(smallest.min_by(f32::total_cmp))
+            }
+        };
+        let options = LoadOptions {
+            score: settings.score,
+            input_px: Some(input_px),
+            candidates: true,
+            ..LoadOptions::default()
+        };
+        let detector = Detector::load_as(&settings.model, &options)?;
+        let site = settings.audit.as_deref().map(|file| {
+            let calibrations = |preset: &Preset| preset.table().calibration_sha256;
+            let calibrations: Vec<_> = presets.iter().map(calibrations).collect();
+            let camera = presets.active().table().camera_id.as_str();
+            let (model, input_px) = (detector.model().sha256, detector.input_size());
+            SiteFile::read(file, &MadeWith { camera, calibrations: &calibrations, model, input_px })
+        });
+        let site = site.transpose()?.map(|file| file.correction);
+        let least = settings.score.or(site.as_ref().and_then(|site| site.score));
+        let vehicles = Vehicles::new(model.evidence, least, input_px);
+        let errors = Errors { counting: model.counting, site };
+        let sizes = cars.iter().map(|cars| cars.size).collect();
+        let input = detector.input_size();
+        let parts = |preset: &Preset| match settings.views {
+            Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),
+            Views::Whole => Parts::WHOLE,
+        };
+        let parts = presets.iter().map(parts).collect();
+        let found = Vec::new();
+        let following = Following::Off;
+        let (file, is_input_set) = (settings.model.clone(), settings.input != NetInput::Auto);
+        Ok(Self {
+            file,
+            options,
+            is_input_set,
+            detector,
+            scene,
+            judging,
+            presets,
+            parts,
+            vehicles,
+            sizes,
+            errors,
+            found,
+            following,
+        })
+    }
+}

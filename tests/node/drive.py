@@ -24,7 +24,7 @@ import tty
 FIRMWARE, VERGE = sys.argv[1], sys.argv[2]
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 LED_REGISTER = 0x4002F004
-STACK = (0x20000000, 32 << 10)
+STACK = (0x20000000, 40 << 10)
 # How far the stack may grow of what memory.x gives it.
 STACK_LIMIT = 0.75
 # Limits are twice the time that is set: on a busy machine emulated time runs slower.
@@ -93,7 +93,7 @@ class Qemu:
             gdb.sendall(b"+")
             return answer
 
-        free = 0x20008F00
+        free = 0x2000AF00
         ask("?")
         # QEMU takes single registers only from a debugger that has read their description.
         ask("qXfer:features:read:target.xml:0,ffb")

@@ -11,6 +11,8 @@
 
 #[cfg(target_os = "none")]
 mod board;
+#[cfg(target_os = "none")]
+mod panic;
 
 #[cfg(target_os = "none")]
 mod firmware {
@@ -24,17 +26,6 @@ mod firmware {
 
     /// Half a period of the heartbeat.
     const HEARTBEAT: Duration = Duration::from_millis(500);
-
-    unsafe extern "C" {
-        /// Defined nowhere: a panic path that the linker cannot drop fails the link.
-        fn the_core_of_verge_must_not_panic() -> !;
-    }
-
-    #[panic_handler]
-    fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
-        // SAFETY: never runs; the symbol is missing, so the link fails where it could.
-        unsafe { the_core_of_verge_must_not_panic() }
-    }
 
     #[entry]
     fn main() -> ! {

@@ -1,60 +1,63 @@
 //! The counting core on a microcontroller: Cortex-M4F, detections in, messages out.
 //!
-//! A detector beside the microcontroller writes one frame's boxes into `INBOX`, the lane
-//! table lies in external flash, messages leave through `OUTBOX`. What this file is for: it links
-//! `units`, `lane`, `density`, `wire`, `health` and `hal` inside `memory.x` (the link fails when they
-//! outgrow it) and without a single panic path (the panic handler calls a function that
-//! does not exist, so that a reachable panic is a link error).
+//! A detector beside the microcontroller writes one frame's boxes at a time into memory that both
+//! see, the lane table lies in memory-mapped flash, messages leave as they came. It links `units`,
+//! `lane`, `density`, `traffic`, `sensor`, `health`, `alarm`, `derate`, `fault`, `wire` and `hal`
+//! inside `memory.x` (the link fails when they outgrow it) and without a single panic path.
+//! Pictures are the eye core's (`eye_core.rs`). `tests/node/run` runs both and measures the stack.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
+#[path = "../panic.rs"]
+mod panic;
+#[cfg(target_os = "none")]
+#[path = "../ring.rs"]
+mod ring;
+
+#[cfg(target_os = "none")]
 mod firmware {
-    use core::ptr::addr_of_mut;
+    use crate::ring::{Reader, Writer};
     use core::time::Duration;
     use cortex_m_rt::entry;
-    use verge::density::{Aggregator, Start};
+    use verge::density::Start;
     use verge::hal::{Board, Switch, Watchdog};
-    use verge::health::{Event, Health};
     use verge::lane::{LaneTable, Name};
+    use verge::sensor::{Action, Now, Outcome, Preset, Sensor};
     use verge::units::{ImagePoint, UtcMs, VehicleClass};
-    use verge::wire::{self, CalibrationRef, DensityMessage, MAX_DENSITY_MESSAGE, ModelRef};
+    use verge::wire::{self, DensityMessage, MAX_DENSITY_MESSAGE, ModelRef};
 
-    /// Where the lane table lies: memory-mapped QSPI flash of an STM32F4 (RM0386, 13.3).
-    const TABLE_AT: *const u8 = 0x9000_0000 as *const u8;
-    /// Bytes of a 320x240 table: header, description, five bytes a cell, checksum.
-    const TABLE_LEN: usize = 12 + 200 + 320 * 240 * 5 + 4;
+    /// Where frames come in, messages go out, and the lane table lies behind its length: in the
+    /// board's PSRAM, which takes the part of memory on a bus.
+    const INBOX_AT: usize = 0x2100_0000;
+    const OUTBOX_AT: usize = 0x2110_0000;
+    const TABLE_AT: usize = 0x2120_0000;
+    /// Longest table: 320x240 with a reference of the scene.
+    const MAX_TABLE: usize = 512 << 10;
     /// Most vehicles of one frame: eight lanes of 50 m at jam density and a half more.
     const MAX_BOXES: usize = 96;
+    /// Frames of two minutes.
+    const FRAMES: usize = 128;
     /// One frame a second, windows of a minute.
     const INTERVAL: Duration = Duration::from_secs(1);
     const WINDOW: Duration = Duration::from_secs(60);
 
     /// One frame's vehicles as the detector writes them.
     #[repr(C)]
+    #[derive(Clone, Copy)]
     struct Frame {
         time_ms: i64,
+        since_start_ms: u32,
         count: u32,
         contacts: [ImagePoint; MAX_BOXES],
         classes: [u8; MAX_BOXES],
     }
 
-    static mut INBOX: Frame = Frame {
-        time_ms: 0,
-        count: 0,
-        contacts: [ImagePoint { u: 0.0, v: 0.0 }; MAX_BOXES],
-        classes: [0; MAX_BOXES],
-    };
-    static mut OUTBOX: [u8; MAX_DENSITY_MESSAGE] = [0; MAX_DENSITY_MESSAGE];
-
-    unsafe extern "C" {
-        /// Defined nowhere: a panic path that the linker cannot drop fails the link.
-        fn the_core_of_verge_must_not_panic() -> !;
-    }
-
-    #[panic_handler]
-    fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
-        // SAFETY: never runs; the symbol is missing, so the link fails where it could.
-        unsafe { the_core_of_verge_must_not_panic() }
+    /// A message in the compact form.
+    #[repr(C)]
+    #[derive(Clone, Copy)]
+    struct Message {
+        len: u32,
+        bytes: [u8; MAX_DENSITY_MESSAGE],
     }
 
     #[entry]
@@ -68,20 +71,27 @@ mod firmware {
     }
 
     fn measure(board: &mut Board) -> Option<core::convert::Infallible> {
-        // SAFETY: the flash is mapped before reset leaves the boot loader and never written.
-        let bytes = unsafe { core::slice::from_raw_parts(TABLE_AT, TABLE_LEN) };
+        // SAFETY: the flash is mapped before reset leaves the boot loader and never written; any
+        // bytes are a table or refused.
+        let bytes = unsafe {
+            let len = (TABLE_AT as *const u32).read_volatile() as usize;
+            core::slice::from_raw_parts((TABLE_AT + 4) as *const u8, len.min(MAX_TABLE))
+        };
         let table = LaneTable::parse(bytes).ok()?;
-        let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
-        let start = Start::AtNextWindow;
-        let mut line =
-            Aggregator::<1>::new(lanes, cell_m, &[WINDOW], INTERVAL, 0.75, start).ok()?;
-        let mut health = Health::new(INTERVAL, Duration::ZERO);
+        let description = table.description();
+        let preset =
+            Preset::<1>::new(description, &[WINDOW], INTERVAL, 0.75, Start::AtNextWindow).ok()?;
+        let nothing = preset.counts();
+        let mut sensor = Sensor::<_, 1>::new([preset], INTERVAL);
+        // SAFETY: the board's PSRAM, whose content is numbers alone.
+        let mut inbox = unsafe { Reader::<Frame, FRAMES>::at(INBOX_AT) };
+        // SAFETY: as before, and nothing else writes there.
+        let mut outbox = unsafe { Writer::<Message, 1>::at(OUTBOX_AT) };
+        let mut message = Message { len: 0, bytes: [0; MAX_DENSITY_MESSAGE] };
         let mut seq = 0u64;
         loop {
-            // SAFETY: single core, and the detector writes the next frame only after this
-            // one's message has left.
-            let frame = unsafe { addr_of_mut!(INBOX).read_volatile() };
-            let mut counts = line.counts();
+            let frame = inbox.next();
+            let mut counts = nothing.clone();
             for (&contact, &class) in
                 frame.contacts.iter().zip(&frame.classes).take(frame.count as usize)
             {
@@ -91,28 +101,31 @@ mod firmware {
                 }
             }
             let time = UtcMs(frame.time_ms);
-            for report in line.observe(time, &counts) {
+            let since_start = Duration::from_millis(u64::from(frame.since_start_ms));
+            let now = Now { time, since_start, synchronised: false };
+            let mut act = |action: Action<'_>| {
+                let Action::Window { window, clock_synced } = action else { return };
                 seq = seq.wrapping_add(1);
-                let message = DensityMessage {
-                    site: table.description().camera_id.clone(),
+                let window = DensityMessage {
+                    site: description.camera_id.clone(),
                     seq,
-                    clock_synced: false,
-                    report,
-                    calibration: CalibrationRef {
-                        id: table.description().calibration_id.clone(),
-                        sha256: table.description().calibration_sha256,
-                        rel_err: table.description().length_rel_err,
-                    },
+                    clock_synced,
+                    report: window.report.clone(),
+                    calibration: window.calibration.clone(),
                     model: ModelRef { name: Name::new(), sha256: [0; 32] },
                 };
-                // SAFETY: only this loop touches the outbox while it is being written.
-                let outbox = unsafe { &mut *addr_of_mut!(OUTBOX) };
-                let _ = wire::encode(&message, outbox);
-            }
-            let since_start = Duration::from_millis(frame.time_ms.unsigned_abs());
-            let actions = health.on(Event::Measured, since_start);
-            let _ = board.status_led.set(actions.led_on);
-            let _ = board.camera_power.set(actions.camera_power_on);
+                let len = wire::encode(&window, &mut message.bytes).map(<[u8]>::len);
+                if let Ok(len) = len {
+                    message.len = len as u32;
+                    outbox.push(&message);
+                }
+            };
+            let outcome = Outcome::Measured { preset: 0, counts: &counts, moves: None };
+            // Without stages none gives up.
+            let _ = sensor.turn(now, time, &outcome, &mut act);
+            let shown = sensor.tick(now, false, &mut act);
+            let _ = board.status_led.set(shown.led_on);
+            let _ = board.camera_power.set(shown.camera_power_on);
             let _ = board.watchdog.feed();
         }
     }

@@ -31,8 +31,6 @@ const MOST_FRAMES: u32 = 900_000;
 const MOST_REL_ERR: f32 = 10.0;
 /// Windows of 10 s in 300,000 years, so that differences of numbers do not overflow.
 const MOST_SEQ: u64 = 1 << 40;
-/// The first instant of the year 10,000, ms since 1970: dates have four digits.
-pub(crate) const YEAR_10000_MS: i64 = 253_402_300_800_000;
 
 /// Published on `<root>/density/<window>` when the window closes, and on
 /// `<root>/replay/density/<window>` when it could not be sent then, QoS 1. It may arrive twice,
@@ -330,7 +328,8 @@ impl Density {
             return Err(Wrong::new("window_s", format!("{window_s} {reason}")));
         }
         let length_ms = i64::from(*window_s) * 1000;
-        if !(0..YEAR_10000_MS - length_ms).contains(&from.0) || from.0 % length_ms != 0 {
+        if !(0..crate::time::YEAR_10000_MS - length_ms).contains(&from.0) || from.0 % length_ms != 0
+        {
             let reason = format!("{from} is not the beginning of a window of {window_s} s");
             return Err(Wrong::new("from", reason));
         }

@@ -3,6 +3,9 @@
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+/// The first instant of the year 10,000, ms since 1970: dates have four digits.
+pub(crate) const YEAR_10000_MS: i64 = 253_402_300_800_000;
+
 /// An instant, in milliseconds of UTC since 1970-01-01 (negative before).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Utc(pub i64);

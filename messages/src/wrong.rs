@@ -54,7 +54,7 @@ pub(crate) fn name(field: &str, given: &str) -> Result<(), Wrong> {
 
 /// A time of which the year has four digits, ms since 1970.
 pub(crate) fn time(field: &str, given: crate::Utc) -> Result<(), Wrong> {
-    if (0..crate::density::YEAR_10000_MS).contains(&given.0) {
+    if (0..crate::time::YEAR_10000_MS).contains(&given.0) {
         return Ok(());
     }
     Err(Wrong::new(field, format!("{given}: 1970 to 9999 is right")))

@@ -41,6 +41,7 @@ mod reload;
 mod running;
 pub mod scene;
 pub mod serial;
+pub mod site;
 pub mod spool;
 mod station;
 pub mod tableless;

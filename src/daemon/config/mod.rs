@@ -7,19 +7,17 @@ mod check;
 mod secrets;
 mod sections;
 mod signed;
-mod site;
 
+pub use super::site::Site;
 pub use sections::{
     Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Traffic,
     Views, Windows, found_model,
 };
-pub use site::Site;
 
 use crate::daemon::address::{Address, AddressError, veiled};
 use crate::daemon::publish::TlsFiles;
 use crate::daemon::serial::SerialSettings;
 use crate::daemon::trust::Trust;
-use crate::lane::MAX_NAME;
 use secrets::{private, secret};
 use serde::Deserialize;
 use signed::Trusted;

@@ -5,7 +5,7 @@
 //! and one `binary_sensor` for the connection. Home
 //! Assistant reads the daemon's own topics; nothing else is published for it.
 
-use crate::daemon::config::Site;
+use crate::daemon::site::Site;
 use crate::lane::Lane;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};

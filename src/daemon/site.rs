@@ -2,7 +2,7 @@
 //!
 //! Owns its keys and their values; what a place may hold is `verge_messages`' to say.
 
-use super::MAX_NAME;
+use crate::lane::MAX_NAME;
 use serde::Deserialize;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserializer, MapAccess, Visitor};

@@ -175,6 +175,26 @@ fn datex2_has_the_elements_of_the_schema_in_their_order() {
     assert_eq!(faults, lanes, "one for each lane that was not");
 }
 
+#[test]
+fn the_site_table_has_each_site_once_with_its_elements_in_order() {
+    let placed = json_lines()
+        .replace("\"schema\":1,\"site\":\"k109f\"", "\"schema\":2,\"site\":\"k109f\",\"place\":{\
+            \"name\":\"Siu Lam\",\"road\":\"Tuen Mun Road\",\"direction\":null,\"latitude\":22.3625,\
+            \"longitude\":114.0125,\"bearing\":285.0}")
+        .replace("\"lane\":2,", "\"lane\":2,\"lane_order\":3,");
+    let (code, output, errors) = convert(&placed, &["--to", "datex2-sites"]);
+    assert_eq!(code, Some(0), "{errors}");
+    let mut values = Vec::new();
+    datex2::check(&xml::parse(&output), "PayloadPublication", &mut values);
+    let of = |name: &str| values.iter().filter(|(found, _)| found == name).collect::<Vec<_>>();
+    assert_eq!(of("loc:latitude"), [&("loc:latitude".to_owned(), "22.3625".to_owned())]);
+    assert_eq!(of("loc:laneNumber").len(), 1, "of the lane whose order is known");
+    assert_eq!(of("roa:specificMeasurementValueType").len(), messages()[0].report.lanes.len());
+    let (code, _, errors) = convert(&json_lines(), &["--to", "datex2-sites"]);
+    assert_eq!(code, Some(65));
+    assert!(errors.contains("give latitude and longitude under [site]"), "{errors}");
+}
+
 /// The content models that the output uses, as the v3.5 schema has them.
 mod datex2 {
     use super::xml::Element;
@@ -203,6 +223,49 @@ mod datex2 {
                 ],
             ]
             .concat(),
+            "roa:MeasurementSiteTablePublication" => [
+                &publication[..],
+                &[
+                    ("roa:headerInformation", 1, 1, "HeaderInformation"),
+                    ("roa:measurementSiteTable", 1, MANY, "MeasurementSiteTable"),
+                ],
+            ]
+            .concat(),
+            "MeasurementSiteTable" => vec![("roa:measurementSite", 1, MANY, "MeasurementSite")],
+            "MeasurementSite" => vec![
+                ("roa:measurementSiteRecordVersionTime", 0, 1, "dateTime"),
+                ("roa:measurementEquipmentReference", 0, 1, "string"),
+                ("roa:measurementEquipmentTypeUsed", 0, 1, "MultilingualString"),
+                ("roa:measurementSiteName", 0, 1, "MultilingualString"),
+                ("roa:measurementSiteNumberOfLanes", 0, 1, "nonNegativeInteger"),
+                ("roa:measurementSiteIdentification", 0, 1, "string"),
+                ("roa:measurementSpecificCharacteristics", 0, MANY, "IndexedCharacteristics"),
+                ("roa:measurementSiteLocation", 1, 1, "LocationReference"),
+            ],
+            "IndexedCharacteristics" => {
+                vec![("roa:measurementSpecificCharacteristics", 1, 1, "Characteristics")]
+            }
+            "Characteristics" => vec![
+                ("roa:accuracy", 0, 1, "percentage"),
+                ("roa:period", 0, 1, "float"),
+                ("roa:specificMeasurementValueType", 1, 1, "valueType"),
+                ("roa:specificLane", 0, MANY, "Lane"),
+            ],
+            "Lane" => vec![("loc:laneNumber", 0, 1, "nonNegativeInteger")],
+            "loc:PointLocation" => vec![
+                ("loc:supplementaryPositionalDescription", 0, 1, "PositionalDescription"),
+                ("loc:pointByCoordinates", 0, 1, "PointByCoordinates"),
+            ],
+            "PositionalDescription" => {
+                vec![("loc:locationDescription", 0, 1, "MultilingualString")]
+            }
+            "PointByCoordinates" => vec![
+                ("loc:bearing", 0, 1, "angle"),
+                ("loc:pointCoordinates", 1, 1, "PointCoordinates"),
+            ],
+            "PointCoordinates" => {
+                vec![("loc:latitude", 1, 1, "float"), ("loc:longitude", 1, 1, "float")]
+            }
             "InternationalIdentifier" => {
                 vec![("com:country", 1, 1, "country"), ("com:nationalIdentifier", 1, 1, "string")]
             }
@@ -266,6 +329,9 @@ mod datex2 {
             "boolean" => ["true", "false"].contains(&text),
             "country" => text.len() <= 2 && text.bytes().all(|b| b.is_ascii_alphabetic()),
             "real" => text == "real",
+            "float" => text.parse::<f64>().is_ok_and(f64::is_finite),
+            "angle" => text.parse::<u32>().is_ok_and(|degrees| degrees < 360),
+            "valueType" => ["trafficConcentration", "trafficFlow", "trafficSpeed"].contains(&text),
             "nonNegativeInteger" => text.parse::<u64>().is_ok(),
             "percentage" => text.parse::<f32>().is_ok_and(|p| (0.0..=100.0).contains(&p)),
             "timeMeaning" => ["beginTime", "endTime", "middleTime"].contains(&text),

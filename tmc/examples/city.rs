@@ -1,13 +1,17 @@
 //! Makes an archive of a city and times the report over it.
 //!
-//! `cargo run --profile centre -p verge-tmc --example city -- DIR [SITES [DAYS [CELLS]]]`: by
-//! default 100 sites, 90 days, four lanes, no cells, one-minute windows: 51.8 million rows. Prints the seconds for
-//! both and the report's largest memory. DIR must not be there yet.
+//! `cargo run --profile centre -p verge-tmc --example city -- DIR [SITES [DAYS [CELLS [WINDOW_S]]]]`: by
+//! default 100 sites, 90 days, four lanes, no cells, one-minute windows: 51.8 million rows. `DIR 1000 365 0
+//! 900` is a year of a city at 15 minutes, 140 million rows. Prints the seconds for archive and report,
+//! for the morning page alone (first without, then with what is usual kept), and the largest memory. DIR
+//! must not be there yet.
 
 use clap::Parser;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use verge_tmc::morning::places::Places;
+use verge_tmc::morning::{Morning, Options};
 use verge_tmc::report;
 use verge_tmc::store::{self, DAY_MS, Partition, Row};
 
@@ -25,6 +29,9 @@ struct Arguments {
     /// Cells of a lane.
     #[arg(default_value_t = 0)]
     cells: i32,
+    /// Length of the windows, s.
+    #[arg(default_value_t = 60)]
+    window_s: i32,
 }
 
 #[derive(Parser)]
@@ -34,12 +41,12 @@ struct Report {
 }
 
 fn main() {
-    let Arguments { folder, sites, days, cells } = Arguments::parse();
+    let Arguments { folder, sites, days, cells, window_s } = Arguments::parse();
     std::fs::create_dir(&folder).expect("a folder that is not there yet");
     let begun = Instant::now();
     for site in 0..sites {
         for day in 0..days {
-            write_day(&folder.join("archive"), site, day, cells);
+            write_day(&folder.join("archive"), site, day, cells, window_s);
         }
     }
     println!("archive made in {:.1} s", begun.elapsed().as_secs_f64());
@@ -59,13 +66,22 @@ fn main() {
         std::process::exit(1);
     }
     println!("report in {:.1} s", begun.elapsed().as_secs_f64());
+    let last_ms = (FIRST_DAY + days) * DAY_MS;
+    let options =
+        Options { only: Vec::new(), made_ms: last_ms, now_ms: last_ms, offset_ms: 0, threads: 2 };
+    for what in ["the morning page, made of files", "the morning page again"] {
+        let begun = Instant::now();
+        let morning = Morning::of(&archive, &Places::new(), &options).expect("an archive");
+        let bytes = morning.body(None).len();
+        println!("{what}: {:.2} s, {bytes} bytes", begun.elapsed().as_secs_f64());
+    }
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     status.lines().filter(|line| line.starts_with("VmHWM")).for_each(|line| println!("{line}"));
 }
 
 /// A day with two peaks, lower on Sunday; one window in 200 has no density.
-fn write_day(root: &Path, site: usize, day: i64, cells: i32) {
-    let partition = Partition { site: format!("camera{site:03}"), day: FIRST_DAY + day };
+fn write_day(root: &Path, site: usize, day: i64, cells: i32, window_s: i32) {
+    let partition = Partition { site: format!("camera{site:04}"), day: FIRST_DAY + day };
     let mut state = (site as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (day as u64 + 1);
     let mut noise = move || {
         state ^= state << 13;
@@ -75,8 +91,8 @@ fn write_day(root: &Path, site: usize, day: i64, cells: i32) {
     };
     let week = if day % 7 == 6 { 0.5 } else { 1.0 };
     let mut rows = Vec::with_capacity(1440 * (LANES * (1 + cells)) as usize);
-    for minute in 0..1440 {
-        let hour = f64::from(minute) / 60.0;
+    for index in 0..86_400 / window_s {
+        let hour = f64::from(index * window_s) / 3600.0;
         let peak = |at: f64| (-((hour - at) / 1.5).powi(2)).exp();
         let level =
             week * (6.0 + 25.0 * peak(8.0) + 32.0 * peak(18.0) + 8.0 * (hour / 24.0 * PI).sin());
@@ -86,8 +102,8 @@ fn write_day(root: &Path, site: usize, day: i64, cells: i32) {
                 (level * (0.7 + 0.1 * f64::from(lane) + 0.3 * noise()) * 1e4).round() / 1e4;
             let known = |value: f64| is_known.then_some(value as f32);
             let row = Row {
-                window_s: 60,
-                from_ms: partition.day * DAY_MS + i64::from(minute) * 60_000,
+                window_s,
+                from_ms: partition.day * DAY_MS + i64::from(index * window_s) * 1000,
                 lane,
                 cell: None,
                 position_m: None,
@@ -99,12 +115,13 @@ fn write_day(root: &Path, site: usize, day: i64, cells: i32) {
                 frames_used: 30,
                 frames_expected: 30,
                 status: 2,
-                seq: day * 1440 + i64::from(minute) + 1,
+                seq: day * i64::from(86_400 / window_s) + i64::from(index) + 1,
                 clock_synced: true,
                 rel_err: Some(0.02),
                 ci90: is_known.then_some([0.7, 1.3].map(|share| (density * share) as f32)),
                 calibration_se: known(density * 0.02),
                 counting_se: known(density * 0.15),
+                traffic: None,
             };
             for cell in 0..cells {
                 // Counts of 30 frames in a cell: few values, as boxes have them.

@@ -1,9 +1,10 @@
 //! `verge-tmc`: the commands, their arguments and their exit codes.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use verge_tmc::failure::Failure;
-use verge_tmc::{archive, fit, points, report, score};
+use verge_tmc::{archive, exporter, fit, points, report, score, serve};
 
 /// What a traffic management centre makes of the sensors' densities.
 #[derive(Parser)]
@@ -17,24 +18,44 @@ struct Arguments {
 enum Command {
     /// Keep what the sensors publish: from the broker into Parquet, each window once.
     Archive(archive::Arguments),
+    /// Serve the sites' latest numbers to Prometheus, from the broker.
+    Exporter(exporter::Arguments),
     /// Turn detector data into points of density and speed for `fit`.
     Points(points::Arguments),
-    /// Fit a fundamental diagram: Greenshields or Newell.
+    /// Fit a fundamental diagram: Greenshields, Daganzo, Newell, Van Aerde.
     Fit(fit::Arguments),
-    /// Say when, on which weekday and where density stands: pages, pictures, tables.
+    /// Write the morning page and, for each site, when and where density stands.
     Report(report::Arguments),
+    /// Show the morning page, live, on loopback.
+    Serve(serve::Arguments),
     /// Score density against ground truth, lane by lane: RMSE, MAE, MAPE.
     Score(score::Arguments),
+    /// Write the manual pages.
+    #[command(hide = true)]
+    Man {
+        /// Folder for them.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
+}
+
+/// A page for the program and one for each command.
+fn write_pages(folder: &Path) -> Result<(), Failure> {
+    let written = clap_mangen::generate_to(Arguments::command().name("verge-tmc"), folder);
+    Ok(written.map_err(|source| verge_desk::Failure::writing(folder, source))?)
 }
 
 fn main() -> ExitCode {
     verge_desk::run_main(|Arguments { command }| -> Result<(), Failure> {
         match command {
             Command::Archive(arguments) => archive::run(&arguments),
+            Command::Exporter(arguments) => exporter::run(&arguments),
             Command::Points(arguments) => Ok(points::run(&arguments)?),
             Command::Fit(arguments) => Ok(fit::run(&arguments)?),
             Command::Report(arguments) => report::run(&arguments),
+            Command::Serve(arguments) => serve::run(&arguments),
             Command::Score(arguments) => Ok(score::run(&arguments)?),
+            Command::Man { out } => write_pages(&out),
         }
     })
 }

@@ -10,13 +10,12 @@
 //! archiver was away for days. Only what comes on top of [`LATER_BYTES`] is refused.
 
 use super::aside::Aside;
-use crate::message;
+use crate::broker::LARGEST;
+use crate::message::{self, Message};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
-use verge_messages::{Density, Topic, Utc};
+use verge_messages::{Kind, Topic, Utc};
 
-/// Largest message, bytes: eight lanes of 32 cells take 7 KB of JSON.
-pub(super) const LARGEST: usize = 64 << 10;
 /// A window ends at most so long after now: clocks of boxes are not all set.
 const AHEAD: Duration = Duration::from_secs(600);
 /// A window that ended longer ago is not urgent.
@@ -80,11 +79,11 @@ impl Door {
         if payload.is_empty() {
             return Verdict::Empty;
         }
-        let Some((site, _)) = Topic::density_of(&self.root, topic) else {
+        let Some((site, kind)) = Topic::kind_of(&self.root, topic) else {
             aside.refuse("?", "a topic that is not a site's", payload);
             return Verdict::Refused;
         };
-        let verdict = self.judge_site(site, payload, (now, instant));
+        let verdict = self.judge_site((site, kind), payload, (now, instant));
         verdict.unwrap_or_else(|reason| {
             aside.refuse(site, &reason, payload);
             Verdict::Refused
@@ -93,7 +92,7 @@ impl Door {
 
     fn judge_site(
         &mut self,
-        site: &str,
+        (site, kind): (&str, Kind),
         payload: &[u8],
         (now, instant): (Utc, Instant),
     ) -> Result<Verdict, String> {
@@ -109,9 +108,13 @@ impl Door {
             // Not even read: a box may send more than can be.
             return Err(full());
         }
-        let window = self.examine(site, payload, now)?;
-        let rows = (message::rows(&window) as f64).max(reading);
-        let is_urgent = window.to.0 > now.0 - URGENT.as_millis() as i64;
+        let message = self.examine((site, kind), payload, now)?;
+        if kind != Kind::Density && message.span().0.0 < now.0.saturating_sub(ms(self.oldest)) {
+            // What the broker keeps of a site is sent at each connection, however old it is.
+            return Ok(Verdict::Empty);
+        }
+        let rows = (message.rows() as f64).max(reading);
+        let is_urgent = message.span().1.0 > now.0 - URGENT.as_millis() as i64;
         let account = self.account(site, instant);
         if is_urgent && account.rows >= rows {
             account.rows -= rows;
@@ -125,24 +128,29 @@ impl Door {
         }
     }
 
-    fn examine(&self, site: &str, payload: &[u8], now: Utc) -> Result<Density, String> {
+    fn examine(
+        &self,
+        (site, kind): (&str, Kind),
+        payload: &[u8],
+        now: Utc,
+    ) -> Result<Message, String> {
         if payload.len() > LARGEST {
             return Err(format!("it has more than {LARGEST} bytes"));
         }
-        let window = message::read(payload)?;
-        if window.site != site {
-            return Err(format!("its topic is of site {site}, it names {:?}", window.site));
+        let message = message::read_kind(kind, payload)?;
+        if message.site() != site {
+            return Err(format!("its topic is of site {site}, it names {:?}", message.site()));
         }
-        let ms = |time: Duration| i64::try_from(time.as_millis()).unwrap_or(i64::MAX);
-        if window.to.0 > now.0.saturating_add(ms(AHEAD)) {
-            return Err(format!("its window ends at {}, it is {now}", window.to));
+        let (from, to) = message.span();
+        let ends = if kind == Kind::Density { "its window ends at" } else { "it is of" };
+        if to.0 > now.0.saturating_add(ms(AHEAD)) {
+            return Err(format!("{ends} {to}, it is {now}"));
         }
-        if window.from.0 < now.0.saturating_sub(ms(self.oldest)) {
+        if kind == Kind::Density && from.0 < now.0.saturating_sub(ms(self.oldest)) {
             let days = self.oldest.as_secs() / 86_400;
-            let begins = window.from;
-            return Err(format!("its window began at {begins}, over {days} days ago (--oldest)"));
+            return Err(format!("its window began at {from}, over {days} days ago (--oldest)"));
         }
-        Ok(window)
+        Ok(message)
     }
 
     /// What a site has, with what it earned since the last time.
@@ -178,6 +186,11 @@ impl Door {
     pub(super) fn later_is_done(&mut self) {
         self.accounts.values_mut().for_each(|account| account.later_bytes = 0);
     }
+}
+
+/// A time in ms.
+fn ms(time: Duration) -> i64 {
+    i64::try_from(time.as_millis()).unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]
@@ -238,6 +251,36 @@ mod tests {
         }
         let before = message("honest", 1, "2026-01-01T08:00:00.000Z");
         assert_eq!(judge(&mut scene, "honest", &before), Verdict::Later, "that is not urgent");
+    }
+
+    #[test]
+    fn health_and_alarms_come_in_by_the_same_rules() {
+        use crate::message::tests::{alarm, health};
+        let mut scene = scene();
+        let now = "2026-01-05T08:00:00.000Z";
+        let judge = |scene: &mut Scene, topic: &str, payload: &str| {
+            let times = (NOW, scene.begun);
+            scene.door.judge((topic, payload.as_bytes()), times, &mut scene.aside)
+        };
+        let moved = alarm("a", "camera_moved", true, now);
+        assert_eq!(judge(&mut scene, "verge/a/alarm/camera_moved", &moved), Verdict::Soon);
+        let fine = health("a", now, true);
+        assert_eq!(judge(&mut scene, "verge/a/health", &fine), Verdict::Soon);
+        for (topic, payload, said) in [
+            ("verge/b/health", &fine, "its topic is of site b, it names \"a\""),
+            ("verge/a/health", &moved, "not a message of health: missing field"),
+            ("verge/a/alarm/camera_moved", &fine, "not a message of alarm"),
+            ("verge/a/alarm/x/y", &moved, "a topic that is not a site's"),
+            (
+                "verge/a/health",
+                &health("a", "2026-01-05T09:00:00.000Z", true),
+                "it is of 2026-01-05T09",
+            ),
+        ] {
+            assert_eq!(judge(&mut scene, topic, payload), Verdict::Refused, "{said}");
+            let reason = scene.reason();
+            assert!(reason.contains(said), "{reason}");
+        }
     }
 
     #[test]

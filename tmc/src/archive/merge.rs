@@ -113,14 +113,18 @@ impl Merged {
     }
 }
 
-/// Whether these are the rows of one message; an archiver of before kept no interval.
+/// Whether these are the rows of one message; an archiver of before kept no flow, and one before
+/// that no interval.
 fn is_same(first: &[Row], rows: &[Row]) -> bool {
-    first.iter().eq(rows)
-        || first.len() == rows.len()
-            && first.iter().zip(rows).all(|(first, row)| {
-                let (ci90, calibration_se, counting_se) = (None, None, None);
-                *first == Row { ci90, calibration_se, counting_se, ..row.clone() }
-            })
+    let without_traffic = |row: &Row| Row { traffic: None, ..row.clone() };
+    let without_errors = |row: &Row| {
+        let (ci90, calibration_se, counting_se) = (None, None, None);
+        Row { ci90, calibration_se, counting_se, ..without_traffic(row) }
+    };
+    first.len() == rows.len()
+        && (first.iter().eq(rows)
+            || first.iter().zip(rows).all(|(first, row)| *first == without_traffic(row))
+            || first.iter().zip(rows).all(|(first, row)| *first == without_errors(row)))
 }
 
 /// The rows of those windows that are there already, and what is in the file.
@@ -198,7 +202,7 @@ fn set_aside(root: &Path, partition: &Partition) -> Result<PathBuf, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::archive::compact::of_window;
+    use crate::archive::rows::of_window;
     use crate::message::{self, tests::message};
     use std::fs;
 

@@ -2,18 +2,19 @@
 //!
 //! Owns the command and its order of work: a message that the `door` lets in is acknowledged
 //! when the journal has it on the disk, and compaction moves the journal into the archive in a
-//! thread of its own. `subscriber` is the connection to the broker, `journal` and `compact` the
-//! two halves of the disk, `aside` keeps what is refused.
+//! thread of its own. `journal` and `compact` are the two halves of the disk, `merge` and `events` what
+//! goes into which table, `aside` keeps what is refused.
 
 mod aside;
 pub mod compact;
 mod door;
+mod events;
 mod gaps;
 pub mod journal;
 mod merge;
-mod subscriber;
-mod tls;
+mod rows;
 
+use crate::broker::{Arrived, BrokerArguments, Settings, Subscriber};
 use crate::failure::Failure;
 use aside::Aside;
 use compact::Done;
@@ -25,39 +26,19 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use subscriber::{Arrived, Settings, Subscriber};
 use verge_messages::Utc;
 
 /// Arguments of `archive`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// The broker.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:1883")]
-    broker: String,
-    /// Topic above the sites' own.
-    #[arg(long, default_value = "verge")]
-    root: String,
+    #[command(flatten)]
+    broker: BrokerArguments,
     /// Group of archivers that share the load; empty: this one takes everything.
     #[arg(long, default_value = "archive")]
     group: String,
     /// Name of this archiver, each its own: its session at the broker and its journal.
     #[arg(long, default_value = "verge-tmc-1")]
     name: String,
-    /// User at the broker; the password stands in the file.
-    #[arg(long, requires = "password_file")]
-    user: Option<String>,
-    /// File with the password, which its owner alone may read.
-    #[arg(long, value_name = "FILE", requires = "user")]
-    password_file: Option<PathBuf>,
-    /// TLS to the broker, whose certificate an authority in this PEM file has signed.
-    #[arg(long, value_name = "FILE")]
-    ca: Option<PathBuf>,
-    /// Certificate of this archiver for the broker, PEM.
-    #[arg(long, value_name = "FILE", requires_all = ["key", "ca"])]
-    cert: Option<PathBuf>,
-    /// Its key, PEM, which its owner alone may read.
-    #[arg(long, value_name = "FILE", requires = "cert")]
-    key: Option<PathBuf>,
     /// Folder of the archive.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -112,7 +93,7 @@ impl Archiver {
         let folder = out.join("_journal").join(&name);
         Ok(Self {
             door: Door::new(
-                &arguments.root,
+                &arguments.broker.root,
                 Duration::from_secs(arguments.oldest.saturating_mul(86_400)),
             ),
             aside: Aside::open(&out, &name)?,
@@ -204,46 +185,17 @@ fn now() -> Utc {
     Utc(jiff::Timestamp::now().as_millisecond())
 }
 
+/// What this archiver asks the broker for.
 fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
-    let address = &arguments.broker;
-    let (host, port) = address
-        .rsplit_once(':')
-        .and_then(|(host, port)| Some((host.to_owned(), port.parse().ok()?)))
-        .ok_or_else(|| Failure::usage(format!("--broker {address:?}: give HOST:PORT")))?;
-    let credentials = match (&arguments.user, &arguments.password_file) {
-        (Some(user), Some(path)) => {
-            only_the_owner_reads(path)?;
-            let text = verge_desk::read_text(path)?;
-            Some((user.clone(), text.trim_end_matches(['\r', '\n']).to_owned()))
-        }
-        _ => None,
-    };
     let shared = if arguments.group.is_empty() {
         String::new()
     } else {
         format!("$share/{}/", arguments.group)
     };
-    let filters =
-        ["density", "replay/density"].map(|kind| format!("{shared}{}/+/{kind}/+", arguments.root));
-    let client = arguments.cert.as_deref().zip(arguments.key.as_deref());
-    client.map_or(Ok(()), |(_, key)| only_the_owner_reads(key))?;
-    let tls = arguments.ca.as_deref().map(|ca| tls::load(ca, client)).transpose()?;
-    let is_here = ["localhost", "127.0.0.1", "::1", "[::1]"].contains(&host.as_str());
-    if credentials.is_some() && tls.is_none() && !is_here {
-        eprintln!("verge-tmc: the password goes to {host} in clear: give --ca for TLS");
-    }
-    Ok(Settings { host, port, name: arguments.name.clone(), credentials, tls, filters })
-}
-
-/// Refuses a secret that others may read.
-fn only_the_owner_reads(path: &Path) -> Result<(), verge_desk::Failure> {
-    use std::os::unix::fs::PermissionsExt;
-    use verge_desk::Failure;
-    let mode = std::fs::metadata(path).map_err(|source| Failure::reading(path, source))?;
-    if mode.permissions().mode() & 0o077 == 0 {
-        return Ok(());
-    }
-    Err(Failure::content(path, 0, "others may read it: chmod 600"))
+    let root = &arguments.broker.root;
+    let filters = ["density/+", "replay/density/+", "health", "alarm/+"]
+        .map(|kind| format!("{shared}{root}/+/{kind}"));
+    arguments.broker.settings(&arguments.name, filters.to_vec(), true)
 }
 
 /// The thread that compacts, one run at a time.

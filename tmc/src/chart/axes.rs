@@ -104,6 +104,17 @@ impl Axes {
         self.drawing.shapes.push(shape);
     }
 
+    /// A shape in pixels of the drawing.
+    pub fn shape(&mut self, shape: Shape) {
+        self.drawing.shapes.push(shape);
+    }
+
+    /// A note at the left of the frame's top, `row` from 0.
+    pub fn note(&mut self, row: usize, text: &str) {
+        let y = TOP + 18.0 + 17.0 * row as f64;
+        self.drawing.text(text, [LEFT + 8.0, y], SMALL, Anchor::Start);
+    }
+
     /// A line of the key inside the frame, `row` from 0.
     pub fn key(&mut self, row: usize, text: &str, colour: Colour) {
         let x = f64::from(self.drawing.width) - RIGHT - 10.0;

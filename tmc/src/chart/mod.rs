@@ -1,8 +1,9 @@
-//! Drawing: one list of shapes, written as SVG (for a page) or PNG.
+//! Drawing: one list of shapes, written as SVG (for a page), PDF (for print) or PNG.
 //!
 //! Owns shapes in pixels and their SVG, of which resvg makes the PNG; `axes` places data in them.
 
 pub mod axes;
+mod pdf;
 mod png;
 mod svg;
 
@@ -98,6 +99,11 @@ impl Drawing {
     /// As an SVG element.
     pub fn svg(&self) -> String {
         svg::svg(self)
+    }
+
+    /// As a PDF file of one page.
+    pub fn pdf(&self) -> Vec<u8> {
+        pdf::pdf(self)
     }
 
     /// As a PNG file on white.

@@ -12,8 +12,9 @@
 //! (mean psi')^2 (J'J)^-1 (Huber 1981, section 7.6).
 
 use super::interval::t_95;
-use super::least_squares::{Descent, Point, descend, inverse, normal_equations, times};
-use super::model::{Model, Parameters};
+use super::least_squares::{Descent, Matrix, Point, descend, inverse, normal_equations, times};
+use super::model::{MOST, Model, Parameters};
+use super::starts::starts;
 
 /// Most points on which the starts are compared; the best go on with all points.
 const SCREENED: usize = 1000;
@@ -52,8 +53,8 @@ pub struct Fit {
     pub robust: bool,
     /// Points used.
     pub points: usize,
-    /// Free-flow speed (km/h), jam density (veh/km/lane), lambda (1/h).
-    pub parameters: [Estimate; 3],
+    /// Those of the model, in its order.
+    pub parameters: [Estimate; MOST],
     /// Capacity, veh/h/lane.
     pub capacity: Estimate,
     /// Density at capacity, veh/km/lane.
@@ -62,8 +63,14 @@ pub struct Fit {
     pub rmse: f64,
     /// Share of the speeds' variance that the fit explains.
     pub r_squared: f64,
+    /// Akaike's information criterion with its correction for few points (Hurvich and Tsai 1989);
+    /// the least is the best of models that were fitted to the same points.
+    pub aicc: f64,
+    /// Points whose flow is beyond the upper end of capacity's interval, or beyond capacity where it
+    /// has none.
+    pub beyond_capacity: usize,
     /// The covariance of the parameters, where the data determine it.
-    pub covariance: Option<[[f64; 3]; 3]>,
+    pub covariance: Option<Matrix>,
     /// Factor from a standard error to half an interval.
     pub t: f64,
     /// What the data do not say.
@@ -73,9 +80,9 @@ pub struct Fit {
 impl Fit {
     /// The values of the parameters, for the model.
     pub fn values(&self) -> Parameters {
-        let [v_f, k_j, lambda] = self.parameters.map(|estimate| estimate.value);
+        let [v_f, k_j, third, fourth] = self.parameters.map(|estimate| estimate.value);
         // Without a jam density the curve is that of the densest jam there is.
-        [v_f, if k_j.is_nan() { DENSEST_POSSIBLE } else { k_j }, lambda]
+        [v_f, if k_j.is_nan() { DENSEST_POSSIBLE } else { k_j }, third, fourth]
     }
 
     /// Half the width of the 95 % interval of the mean speed at density `k`, km/h.
@@ -85,7 +92,7 @@ impl Fit {
     }
 }
 
-fn quadratic(matrix: &[[f64; 3]; 3], x: [f64; 3]) -> f64 {
+fn quadratic(matrix: &Matrix, x: Parameters) -> f64 {
     times(matrix, x).iter().zip(x).map(|(a, b)| a * b).sum()
 }
 
@@ -133,45 +140,14 @@ fn best(model: Model, points: &[Point]) -> Result<Descent, String> {
         .filter(|end| end.sum.is_finite())
         .collect();
     ends.sort_by(|a, b| a.sum.total_cmp(&b.sum));
-    ends.dedup_by(|a, b| (0..3).all(|i| (a.parameters[i] / b.parameters[i] - 1.0).abs() < 1e-4));
+    ends.dedup_by(|a, b| {
+        (0..model.count()).all(|i| (a.parameters[i] / b.parameters[i] - 1.0).abs() < 1e-4)
+    });
     let finals = ends.into_iter().take(FINALISTS);
     finals
         .map(|end| descend(model, points, &|_| 1.0, end.parameters))
         .min_by(|a, b| a.sum.total_cmp(&b.sum))
         .ok_or_else(|| "no descent comes to an end; are the units km/h and veh/km?".to_owned())
-}
-
-/// Greenshields starts at its solution, a straight line. Newell starts from a grid: the
-/// free-flow speed near the upper speeds, the jam density from the densest point up, lambda
-/// from its usual range (1,000 to 10,000 per hour).
-fn starts(model: Model, sorted: &[Point]) -> Result<Vec<Parameters>, String> {
-    if model == Model::Greenshields {
-        let n = sorted.len() as f64;
-        let mean = |f: fn(&Point) -> f64| sorted.iter().map(f).sum::<f64>() / n;
-        let (k, v) = (mean(|p| p.0), mean(|p| p.1));
-        let spread: f64 = sorted.iter().map(|p| (p.0 - k).powi(2)).sum();
-        let slope = sorted.iter().map(|p| (p.0 - k) * (p.1 - v)).sum::<f64>() / spread;
-        if slope >= 0.0 {
-            return Err("speed does not fall with density, so that greenshields does not apply; \
-                        it needs traffic dense enough to slow down"
-                .into());
-        }
-        let free = v - slope * k;
-        return Ok(vec![[free, -free / slope, 0.0]]);
-    }
-    let densest = sorted.last().map_or(1.0, |p| p.0);
-    let mut speeds: Vec<f64> = sorted.iter().map(|p| p.1).collect();
-    speeds.sort_by(f64::total_cmp);
-    let upper = |share: f64| speeds[((speeds.len() - 1) as f64 * share) as usize].max(1.0);
-    let mut starts = Vec::new();
-    for v_f in [upper(0.5), upper(0.95), upper(1.0) * 1.1] {
-        for k_j in [densest * 1.05, densest * 1.5, densest * 4.0, 150.0] {
-            for lambda in [500.0, 1500.0, 4000.0, 10_000.0] {
-                starts.push([v_f, k_j, lambda]);
-            }
-        }
-    }
-    Ok(starts)
 }
 
 /// What the covariance needs to know of the weights; by default of plain least squares.
@@ -258,13 +234,13 @@ fn state(
     let residuals = residuals(model, points, values);
     let s2 = variance(&residuals, count, weights);
     let (normal, _) = normal_equations(model, points, &|_| 1.0, values);
-    let endless = model == Model::Newell && values[1] > DENSEST_POSSIBLE;
+    let endless = model != Model::Greenshields && values[1] > DENSEST_POSSIBLE;
     let covariance = inverse(normal, count)
         .filter(|_| !endless)
         .map(|inverse| inverse.map(|row| row.map(|entry| entry * s2)))
         .filter(|c| (0..count).all(|i| c[i][i].is_finite() && c[i][i] >= 0.0));
     let t = t_95(points.len() - count);
-    let estimate = |value: f64, gradient: [f64; 3]| {
+    let estimate = |value: f64, gradient: Parameters| {
         let se = covariance.as_ref().map(|c| quadratic(c, gradient).max(0.0).sqrt());
         Estimate { value, se, interval: se.map(|se| [value - t * se, value + t * se]) }
     };
@@ -288,12 +264,26 @@ fn state(
         capacity_density,
         rmse: (squares / n).sqrt(),
         r_squared: if total > 0.0 { 1.0 - squares / total } else { 0.0 },
+        aicc: aicc(n, squares, count as f64 + 1.0),
+        beyond_capacity: 0,
         covariance,
         t,
         warnings: Vec::new(),
     };
+    let most = fit.capacity.interval.map_or(fit.capacity.value, |[_, high]| high);
+    fit.beyond_capacity = points.iter().filter(|&&(k, v)| k * v > most).count();
     fit.warnings = warnings(&fit, densities.last().copied().unwrap_or_default());
     fit
+}
+
+/// Akaike's criterion of least squares over `n` points with `free` parameters, the variance with
+/// them: n ln(sum / n) + 2 free n / (n - free - 1).
+fn aicc(n: f64, squares: f64, free: f64) -> f64 {
+    let left = n - free - 1.0;
+    if left <= 0.0 {
+        return f64::INFINITY;
+    }
+    n * (squares / n).max(f64::MIN_POSITIVE).ln() + 2.0 * free * n / left
 }
 
 /// What the data do not determine.
@@ -327,10 +317,23 @@ fn warnings(fit: &Fit, densest: f64) -> Vec<String> {
             fit.capacity_density
         ));
     }
+    if fit.beyond_capacity > 0 {
+        said.push(format!(
+            "{} of {} points have a flow beyond capacity's interval: the curve is the mean of speeds, \
+             not an upper edge",
+            fit.beyond_capacity, fit.points
+        ));
+    }
+    let third = match fit.model {
+        Model::Greenshields => None,
+        Model::Newell => Some("lambda"),
+        Model::Daganzo => Some("wave speed"),
+        Model::VanAerde => Some("speed at capacity"),
+    };
     let named = [
         ("free-flow speed", Some(&fit.parameters[0])),
         ("jam density", Some(&fit.parameters[1])),
-        ("lambda", (fit.model == Model::Newell).then_some(&fit.parameters[2])),
+        (third.unwrap_or_default(), third.map(|_| &fit.parameters[2])),
         ("capacity", Some(&fit.capacity)),
     ];
     for (name, estimate) in named {

@@ -1,20 +1,20 @@
 //! Weighted nonlinear least squares by Levenberg and Marquardt (Marquardt 1963), for at
-//! most three parameters.
+//! most [`MOST`] parameters.
 //!
 //! Owns one descent from one start. Parameters stay positive: a step out of range is
 //! refused like one that climbs.
 
-use super::model::{Model, Parameters};
+use super::model::{MOST, Model, Parameters};
 
 /// Density, veh/km/lane, and speed, km/h.
 pub type Point = (f64, f64);
+/// A row and a column a parameter.
+pub type Matrix = [[f64; MOST]; MOST];
 
 /// Most steps of a descent.
 const MOST_STEPS: usize = 500;
 /// It ends when neither sum nor parameters change by more than this fraction.
 const TOLERANCE: f64 = 1e-12;
-/// A descent of Newell's model goes no further, veh/km: the curve no longer changes.
-const LONGEST_JAM: f64 = 1e6;
 /// Damping at which no step is small enough: the descent ends.
 const MOST_DAMPING: f64 = 1e16;
 
@@ -46,7 +46,7 @@ pub fn descend(
             }
             let step = inverse(damped, model.count()).map(|inverse| times(&inverse, slope));
             let next = step.map(|step| std::array::from_fn(|i| at.parameters[i] + step[i]));
-            let next = next.filter(|next| in_range(model, *next));
+            let next = next.filter(|next| model.is_possible(*next));
             let lower = next.map(|next| (next, sum(model, points, weight, next)));
             if let Some((next, lower)) = lower.filter(|&(_, lower)| lower <= at.sum) {
                 let still = (0..model.count()).all(|i| {
@@ -64,16 +64,6 @@ pub fn descend(
         }
     }
     at
-}
-
-fn in_range(model: Model, parameters: Parameters) -> bool {
-    let [v_f, k_j, lambda] = parameters;
-    let positive = |value: f64| value.is_finite() && value > 0.0;
-    // A straight line may rise: whoever fits it says so.
-    match model {
-        Model::Greenshields => v_f.is_finite() && k_j.is_finite(),
-        Model::Newell => positive(v_f) && positive(k_j) && positive(lambda) && k_j < LONGEST_JAM,
-    }
 }
 
 fn sum(
@@ -94,15 +84,15 @@ pub fn normal_equations(
     points: &[Point],
     weight: &dyn Fn(usize) -> f64,
     parameters: Parameters,
-) -> ([[f64; 3]; 3], [f64; 3]) {
-    let (mut normal, mut slope) = ([[0.0; 3]; 3], [0.0; 3]);
+) -> (Matrix, Parameters) {
+    let (mut normal, mut slope) = ([[0.0; MOST]; MOST], [0.0; MOST]);
     for (index, &(k, v)) in points.iter().enumerate() {
         let weight = weight(index);
         let residual = v - model.speed(parameters, k);
         let gradient = model.gradient(parameters, k);
-        for i in 0..3 {
+        for i in 0..MOST {
             slope[i] += weight * gradient[i] * residual;
-            for j in 0..3 {
+            for j in 0..MOST {
                 normal[i][j] += weight * gradient[i] * gradient[j];
             }
         }
@@ -112,13 +102,13 @@ pub fn normal_equations(
 
 /// The inverse of the first `count` rows and columns, 0 elsewhere; `None` where the matrix,
 /// scaled to a diagonal of 1, is singular to rounding.
-pub fn inverse(matrix: [[f64; 3]; 3], count: usize) -> Option<[[f64; 3]; 3]> {
-    let scale: [f64; 3] = std::array::from_fn(|i| matrix[i][i].sqrt());
+pub fn inverse(matrix: Matrix, count: usize) -> Option<Matrix> {
+    let scale: Parameters = std::array::from_fn(|i| matrix[i][i].sqrt());
     if scale[..count].iter().any(|&s| !(s.is_finite() && s > 0.0)) {
         return None;
     }
-    let mut left = [[0.0; 3]; 3];
-    let mut right = [[0.0; 3]; 3];
+    let mut left = [[0.0; MOST]; MOST];
+    let mut right = [[0.0; MOST]; MOST];
     for i in 0..count {
         right[i][i] = 1.0;
         for j in 0..count {
@@ -155,6 +145,6 @@ pub fn inverse(matrix: [[f64; 3]; 3], count: usize) -> Option<[[f64; 3]; 3]> {
 }
 
 /// A matrix times a column.
-pub fn times(matrix: &[[f64; 3]; 3], column: [f64; 3]) -> [f64; 3] {
-    matrix.map(|row| (0..3).map(|j| row[j] * column[j]).sum())
+pub fn times(matrix: &Matrix, column: Parameters) -> Parameters {
+    matrix.map(|row| (0..MOST).map(|j| row[j] * column[j]).sum())
 }

@@ -5,32 +5,74 @@ use super::model::Model;
 use serde_json::{Map, Value, json};
 use std::fmt::Write;
 
-/// The named quantities of a fit, in the order of the output, with their units.
-fn quantities(fit: &Fit) -> Vec<(&'static str, &'static str, Estimate)> {
-    let [free, jam, lambda] = fit.parameters;
+/// A quantity of a fit.
+pub(super) struct Quantity {
+    /// Its name in JSON.
+    pub(super) name: &'static str,
+    /// For people.
+    pub(super) words: &'static str,
+    pub(super) unit: &'static str,
+    pub(super) estimate: Estimate,
+}
+
+/// The quantities of a fit, in the order of the output.
+pub(super) fn quantities(fit: &Fit) -> Vec<Quantity> {
+    let quantity = |name, words, unit, estimate| Quantity { name, words, unit, estimate };
+    let [free, jam, third, _] = fit.parameters;
     let mut all = vec![
-        ("free_flow_speed_kmh", "km/h", free),
-        ("jam_density_veh_km", "veh/km/lane", jam),
-        ("capacity_veh_h", "veh/h/lane", fit.capacity),
+        quantity("free_flow_speed_kmh", "free-flow speed", "km/h", free),
+        quantity("jam_density_veh_km", "jam density", "veh/km/lane", jam),
     ];
-    if fit.model == Model::Newell {
-        all.insert(2, ("lambda", "1/h", lambda));
-    }
+    all.extend(match fit.model {
+        Model::Greenshields => None,
+        Model::Newell => Some(quantity("lambda", "lambda", "1/h", third)),
+        Model::Daganzo => Some(quantity("wave_speed_kmh", "wave speed", "km/h", third)),
+        Model::VanAerde => {
+            Some(quantity("speed_at_capacity_kmh", "speed at capacity", "km/h", third))
+        }
+    });
+    all.push(quantity("capacity_veh_h", "capacity", "veh/h/lane", fit.capacity));
     all
+}
+
+/// Models that were fitted to the same points, the best first, with what each lacks of it.
+pub(super) fn compared(fits: &[Fit], refused: &[(Model, String)]) -> String {
+    let best = fits.first().map_or(0.0, |fit| fit.aicc);
+    let mut out =
+        String::from("model          parameters       AICc   behind   rmse km/h  r squared\n");
+    for fit in fits {
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            out,
+            "{:<14} {:>10} {:>10.1} {:>8.1} {:>11.2} {:>10.3}",
+            fit.model.name(),
+            fit.model.count(),
+            fit.aicc,
+            fit.aicc - best,
+            fit.rmse,
+            fit.r_squared
+        );
+    }
+    for (model, reason) in refused {
+        let _ = writeln!(out, "{:<14} {reason}", model.name());
+    }
+    out.push('\n');
+    out
 }
 
 fn method(fit: &Fit) -> &'static str {
     if fit.robust { "robust" } else { "least_squares" }
 }
 
-/// One JSON object and a line end. An interval that the data do not give is null.
-pub(super) fn json(fit: &Fit) -> String {
+/// One JSON object and a line end. An interval that the data do not give is null. `fits` are the
+/// models that were compared, the best first; none where one was asked for.
+pub(super) fn json(fit: &Fit, fits: &[Fit]) -> String {
     let mut values = Map::new();
     let (mut intervals, mut errors) = (Map::new(), Map::new());
     values.insert("model".into(), fit.model.name().into());
     values.insert("method".into(), method(fit).into());
     values.insert("points".into(), fit.points.into());
-    for (name, _, estimate) in quantities(fit) {
+    for Quantity { name, estimate, .. } in quantities(fit) {
         values.insert(name.into(), estimate.value.into());
         let interval = estimate.interval.filter(|ends| ends.iter().all(|end| end.is_finite()));
         intervals.insert(name.into(), interval.map_or(Value::Null, |ends| json!(ends)));
@@ -42,6 +84,12 @@ pub(super) fn json(fit: &Fit) -> String {
     values.insert("standard_errors".into(), errors.into());
     values.insert("rmse_kmh".into(), fit.rmse.into());
     values.insert("r_squared".into(), fit.r_squared.into());
+    values.insert("aicc".into(), fit.aicc.into());
+    values.insert("points_beyond_capacity".into(), fit.beyond_capacity.into());
+    if !fits.is_empty() {
+        let of = |it: &Fit| json!({"model": it.model.name(), "aicc": it.aicc, "rmse_kmh": it.rmse});
+        values.insert("compared".into(), fits.iter().map(of).collect());
+    }
     values.insert("warnings".into(), json!(fit.warnings));
     format!("{}\n", Value::Object(values))
 }
@@ -49,7 +97,7 @@ pub(super) fn json(fit: &Fit) -> String {
 /// Lines for people.
 pub(super) fn table(fit: &Fit) -> String {
     let mut out = format!("{} by {}, {} points\n", fit.model.name(), method(fit), fit.points);
-    for (name, unit, Estimate { value, interval, .. }) in quantities(fit) {
+    for Quantity { name, unit, estimate: Estimate { value, interval, .. }, .. } in quantities(fit) {
         let interval = match interval {
             Some([low, high]) => format!("95 % {low:.2} to {high:.2}"),
             None => "no interval: the points do not determine it".to_owned(),
@@ -61,6 +109,10 @@ pub(super) fn table(fit: &Fit) -> String {
     if fit.capacity_density.is_finite() {
         let _ = writeln!(out, "density at capacity    {:>10.2} veh/km/lane", fit.capacity_density);
     }
-    let _ = writeln!(out, "rmse {:.2} km/h, r squared {:.3}", fit.rmse, fit.r_squared);
+    let _ = writeln!(
+        out,
+        "rmse {:.2} km/h, r squared {:.3}, AICc {:.1}",
+        fit.rmse, fit.r_squared, fit.aicc
+    );
     out
 }

@@ -1,8 +1,9 @@
-//! `verge-tmc points`: detector data as points of density and speed.
+//! `verge-tmc points`: the archive's windows and detector data as points of density and speed.
 //!
 //! Owns the command, the points and what is left out; each source has its file. Density is
 //! derived as k = q / v where a source has none.
 
+mod archive;
 mod hk;
 mod hk_raw;
 mod ngsim;
@@ -28,6 +29,8 @@ pub enum Source {
     HkRaw,
     /// PeMS station files of 5 minutes: CSV without a header, speeds in mph.
     Pems,
+    /// The archive: a site's densities with its own speeds, or with those of --detector-csv.
+    Archive,
 }
 
 /// Arguments of `points`.
@@ -48,6 +51,16 @@ pub struct Arguments {
     /// Only this lane, named as in the input ("Fast Lane"; PeMS: its number).
     #[arg(long, value_name = "NAME")]
     lane: Option<String>,
+    /// Which site of the archive.
+    #[arg(long, value_name = "NAME")]
+    site: Option<String>,
+    /// Length of the archive's windows, s; without it the shortest.
+    #[arg(long, value_name = "S")]
+    window: Option<i32>,
+    /// A detector beside the site: CSV with time, speed_kmh or flow_veh_h, and site and lane where it
+    /// is of several.
+    #[arg(long, value_name = "FILE.csv")]
+    detector_csv: Option<PathBuf>,
     /// Where the points go; without it to standard output.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -79,6 +92,18 @@ pub struct Readings {
 }
 
 impl Readings {
+    /// Takes density (veh/km/lane) and speed (km/h).
+    fn add(&mut self, detector: &str, lane: &str, density: f64, speed: f64) {
+        if density <= 0.0 {
+            self.empty += 1;
+        } else if speed <= 0.0 || speed > MOST_KMH {
+            self.implausible += 1;
+        } else {
+            let (detector, lane) = (detector.to_owned(), lane.to_owned());
+            self.kept.push(Reading { density, speed, detector, lane });
+        }
+    }
+
     /// Takes flow (veh/h/lane) and speed (km/h); density is k = q / v.
     fn add_flow(&mut self, detector: &str, lane: &str, flow: f64, speed: f64) {
         if flow <= 0.0 {
@@ -97,6 +122,12 @@ impl Readings {
 /// # Errors
 /// [`Failure`]: wrong input, or an output that cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let of_archive =
+        arguments.site.is_some() || arguments.detector_csv.is_some() || arguments.window.is_some();
+    if of_archive && arguments.from != Source::Archive {
+        let hint = "--site, --window and --detector-csv go with --from archive only";
+        return Err(Failure::Usage(hint.into()));
+    }
     let readings = match (arguments.from, arguments.lanes) {
         (Source::Ngsim, None | Some(0)) => {
             let hint = "ngsim's matrices sum over all lanes: give their number with --lanes \
@@ -110,6 +141,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Source::Hk, None) => hk::read(&arguments.input)?,
         (Source::HkRaw, None) => hk_raw::read(&arguments.input)?,
         (Source::Pems, None) => pems::read(&arguments.input)?,
+        (Source::Archive, None) => {
+            let Some(site) = &arguments.site else {
+                let hint = "the archive has many sites: give one with --site";
+                return Err(Failure::Usage(hint.into()));
+            };
+            archive::read(&archive::Question {
+                archive: &arguments.input,
+                site,
+                window_s: arguments.window,
+                detector: arguments.detector_csv.as_deref(),
+            })?
+        }
     };
     let is = |wanted: &Option<String>, found: &str| wanted.as_ref().is_none_or(|w| w == found);
     let mut text = format!("{DENSITY},{SPEED},detector,lane\n");

@@ -1,24 +1,28 @@
 //! `verge-tmc report`: what the archive says about time, weekday and place.
 //!
-//! Owns the command and its order: some sites at a time, each asked for its sums and written
-//! into its folder. `queries` asks, `engine` answers, on this machine or on a cluster,
+//! Owns the command and its order: the morning of all sites, then some sites at a time, each asked
+//! for its sums and written into its folder. `queries` asks, `engine` answers, on this machine or on a cluster,
 //! `summary` holds the sums, `charts` draws, `page` writes HTML and CSV.
 
 mod charts;
 mod engine;
 mod page;
-mod places;
 mod queries;
 mod summary;
-mod trouble;
+#[cfg(test)]
+mod summary_tests;
+mod sums;
 
 pub use queries::BINS;
-pub use summary::{Mean, Summary};
+pub use summary::Summary;
+pub use sums::Mean;
 
 use crate::failure::Failure;
+use crate::morning::map::Tiles;
+use crate::morning::places::{self, Places};
+use crate::morning::{Morning, Options};
 use crate::store::{self, DAY_MS, Partition, Rows};
 use engine::Engine;
-use places::Places;
 use queries::Scope;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -59,6 +63,13 @@ pub struct Arguments {
     /// Sites read at the same time; without it as many as there are processors.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
+    /// Source of the map's tiles, https://HOST/{z}/{x}/{y}.png: whoever looks at the page asks it;
+    /// without one the map is plain and nothing is fetched.
+    #[arg(long, value_name = "URL", requires = "tiles_by")]
+    tiles: Option<String>,
+    /// Whose tiles they are, as their licence asks for it.
+    #[arg(long, value_name = "TEXT")]
+    tiles_by: Option<String>,
     /// Scheduler of a Ballista cluster that is to run the queries; it and its executors see
     /// the archive under the same path.
     #[arg(long, value_name = "HOST:PORT")]
@@ -74,6 +85,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let sites = chosen(arguments)?;
     let places = arguments.sites.as_deref().map_or_else(|| Ok(Places::new()), places::read)?;
     let offset_ms = offset_ms(&arguments.utc_offset)?;
+    let tiles = Tiles::of(arguments.tiles.as_deref(), arguments.tiles_by.as_deref())?;
     let threads = arguments
         .threads
         .or_else(|| std::thread::available_parallelism().ok().map(Into::into))
@@ -84,7 +96,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .enable_all()
         .build()
         .map_err(|error| Desk::Usage(format!("--threads {threads}: {error}")))?;
-    let mut all = runtime.block_on(summarise_all(arguments, sites, &places, offset_ms, threads))?;
+    let options = Options {
+        only: arguments.site.clone(),
+        made_ms: now_ms()?,
+        now_ms: end_ms(arguments)?,
+        offset_ms,
+        threads,
+    };
+    let morning = Arc::new(Morning::of(&arguments.archive, &places, &options)?);
+    let mut all =
+        runtime.block_on(summarise_all(arguments, sites, &morning, offset_ms, threads))?;
     let summaries = &mut all.summaries;
     summaries.sort_by(|a, b| a.site.cmp(&b.site));
     if summaries.is_empty() {
@@ -92,7 +113,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let none = || Desk::content(&arguments.archive, 0, reason).into();
         return Err(all.failed.into_iter().next().unwrap_or_else(none));
     }
-    write_all(&arguments.out, page::index_files(summaries, &places))?;
+    // A site of which nothing could be read has no page; what is wrong with it is told.
+    let mut shown = Morning::clone(&morning);
+    shown.sites.retain(|site| summaries.iter().any(|summary| summary.site == site.site));
+    write_all(&arguments.out, page::index_files(summaries, &shown, tiles.as_ref()))?;
     let rows: u64 = summaries.iter().map(|summary| summary.rows).sum();
     let count = summaries.len();
     let index = arguments.out.join("index.html");
@@ -135,7 +159,7 @@ type Site = (String, Vec<Partition>);
 async fn summarise_all(
     arguments: &Arguments,
     sites: Vec<Site>,
-    places: &Places,
+    morning: &Arc<Morning>,
     offset_ms: i64,
     threads: usize,
 ) -> Result<All, Failure> {
@@ -149,7 +173,6 @@ async fn summarise_all(
     let engine = Arc::new(Engine::open(&arguments.archive, cluster, partitions).await?);
     let (mut sites, mut running) = (sites.into_iter(), JoinSet::new());
     let mut all = All::default();
-    let now_ms = end_ms(arguments)?;
     loop {
         while let Some((site, days)) = (running.len() < threads).then(|| sites.next()).flatten() {
             let engine = Arc::clone(&engine);
@@ -157,18 +180,18 @@ async fn summarise_all(
             let folder = arguments.out.join("sites").join(&site);
             let ends = [days[0].day, days[days.len() - 1].day];
             let (without, window_s) = (Vec::new(), arguments.window);
-            let place = places.get(&site).cloned();
+            let morning = Arc::clone(morning);
             let mut scope = Scope { site, days: ends, without, window_s, offset_ms };
             running.spawn(async move {
                 let mut failed = Vec::new();
-                let mut summary = summarise(&engine, scope.clone(), now_ms).await;
+                let mut summary = summarise(&engine, scope.clone()).await;
                 if summary.is_err() {
                     // The engine does not name the file that it could not read.
                     let damaged = damage(&archive, &days);
                     if !damaged.is_empty() && damaged.len() < days.len() {
                         scope.without = damaged.iter().map(|(day, _)| *day).collect();
                         failed.extend(damaged.into_iter().map(|(_, failure)| failure));
-                        summary = summarise(&engine, scope, now_ms).await;
+                        summary = summarise(&engine, scope).await;
                     } else if let Some((_, failure)) = damaged.into_iter().next() {
                         summary = Err(failure);
                     }
@@ -177,7 +200,7 @@ async fn summarise_all(
                     if summary.is_empty() {
                         return Ok(None);
                     }
-                    write_all(&folder, page::site_files(&summary, place.as_ref()))?;
+                    write_all(&folder, page::site_files(&summary, &morning))?;
                     Ok(Some(summary.without_places()))
                 });
                 (summary, failed)
@@ -216,13 +239,11 @@ fn write_all(folder: &Path, files: Vec<page::File>) -> Result<(), Desk> {
 }
 
 /// Asks for a site's sums.
-async fn summarise(engine: &Engine, mut scope: Scope, now_ms: i64) -> Result<Summary, Failure> {
+async fn summarise(engine: &Engine, mut scope: Scope) -> Result<Summary, Failure> {
     let mut summary = Summary::of_lanes(&scope.site, &engine.ask(&queries::lanes(&scope)).await?);
     if !summary.is_empty() {
         scope.window_s = summary.window_s;
         summary.add_cells(&engine.ask(&queries::cells(&scope)).await?);
-        let latest = engine.ask(&queries::latest(&scope)).await?;
-        summary.trouble = trouble::of(&latest, summary.window_s.unwrap_or_default(), now_ms);
     }
     Ok(summary)
 }
@@ -245,9 +266,19 @@ fn day(text: Option<&String>, name: &str) -> Result<Option<i64>, Desk> {
         .map_err(|_| Desk::Usage(format!("--{name} {text:?}: give a day as 2026-01-05")))
 }
 
+/// Now, or what `SOURCE_DATE_EPOCH` says instead (reproducible-builds.org), ms since 1970.
+pub(crate) fn now_ms() -> Result<i64, Desk> {
+    let Ok(text) = std::env::var("SOURCE_DATE_EPOCH") else {
+        return Ok(jiff::Timestamp::now().as_millisecond());
+    };
+    let seconds = text.parse::<i64>().ok().filter(|seconds| (0..1 << 40).contains(seconds));
+    let wrong = || Desk::Usage(format!("SOURCE_DATE_EPOCH {text:?}: give seconds since 1970"));
+    seconds.map(|seconds| seconds * 1000).ok_or_else(wrong)
+}
+
 /// The time that the report is made of: now, or the end of the last day that was asked for.
 fn end_ms(arguments: &Arguments) -> Result<i64, Desk> {
-    let now = jiff::Timestamp::now().as_millisecond();
+    let now = now_ms()?;
     let last = day(arguments.to.as_ref(), "to")?;
     Ok(last.map_or(now, |day| now.min((day + 1) * DAY_MS)))
 }
@@ -276,7 +307,7 @@ fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
     Ok(sites)
 }
 
-fn offset_ms(text: &str) -> Result<i64, Desk> {
+pub(crate) fn offset_ms(text: &str) -> Result<i64, Desk> {
     let parsed = || {
         let (sign, rest) = text.split_at_checked(1)?;
         let sign = match sign {

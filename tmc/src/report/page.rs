@@ -1,58 +1,39 @@
 //! The files of a report: HTML with its charts inside, PNG, CSV.
 
 use super::charts;
-use super::places::{self, Place, Places};
 use super::queries::BINS;
-use super::summary::{Mean, Summary};
-use super::trouble::Trouble;
+use super::summary::Summary;
+use super::sums::Mean;
 use crate::chart::Drawing;
+use crate::html::{escaped, page};
+use crate::morning::map::Tiles;
+use crate::morning::places::{self, Known};
+use crate::morning::{Morning, SiteNow};
 use crate::store;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// A file's name and content.
 pub(super) type File = (String, Vec<u8>);
 
-const STYLE: &str = "body{font-family:sans-serif;color:#282828;max-width:900px;margin:24px auto;\
-    padding:0 16px}table{border-collapse:collapse}td,th{padding:3px 12px;text-align:right;\
-    border-bottom:1px solid #ddd}td:first-child,th:first-child,.text{text-align:left}\
-    svg{max-width:100%;height:auto;margin:8px 0}a{color:#325fa0}";
-
-/// Text for HTML, in content and in quoted attributes.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-        .replace('\'', "&#39;")
-}
-
-/// A page with a title and a body.
-fn page(title: &str, body: &str) -> Vec<u8> {
-    let title = escaped(title);
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width\">\n<title>{title}</title>\n\
-         <style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n{body}</body>\n</html>\n"
-    )
-    .into_bytes()
-}
-
 /// The page, pictures and tables of one site.
-pub(super) fn site_files(summary: &Summary, place: Option<&Place>) -> Vec<File> {
+pub(super) fn site_files(summary: &Summary, morning: &Morning) -> Vec<File> {
     let mut files = tables(summary);
     let (first, last) = span(summary);
-    let mut body = format!(
-        "<p><a href=\"../../index.html\">All sites</a>. {first} to {last} (UTC), windows of {} s, \
-         {} rows. A lighter colour is a higher density; grey is not known.</p>\n",
+    let now = morning.sites.iter().find(|site| site.site == summary.site);
+    let mut body = now.map_or_else(
+        || "<nav><a href=\"../../index.html\">All sites</a></nav>\n".to_owned(),
+        |site| morning.site_body(site),
+    );
+    let _ = writeln!(
+        body,
+        "<h2>Averages</h2>\n<p class=\"muted\">{first} to {last} (UTC), windows of {} s, {} rows. A \
+         lighter colour is a higher density; grey is not known.</p>",
         summary.window_s.unwrap_or_default(),
         summary.rows
     );
-    let words = place.map_or_else(Vec::new, |place| place.words());
-    if !words.is_empty() {
-        let _ = writeln!(body, "<p>{}</p>", escaped(&words.join(", ")));
-    }
     for (name, drawing) in charts::of_site(summary) {
-        body += &drawing.svg();
+        body += &paper(&drawing);
         files.push((format!("{name}.png"), drawing.png()));
     }
     body += "<p>As tables:";
@@ -60,8 +41,19 @@ pub(super) fn site_files(summary: &Summary, place: Option<&Place>) -> Vec<File> 
         let _ = write!(body, " <a href=\"{name}\">{name}</a>");
     }
     body += "</p>\n";
-    files.push(("index.html".into(), page(&summary.site, &body)));
+    files.push(("index.html".into(), page(&title(now, &summary.site), &body, None)));
     files
+}
+
+/// A chart on white, in the dark as well: its colours are those of its PNG.
+fn paper(drawing: &Drawing) -> String {
+    format!("<div class=\"paper\">{}</div>\n", drawing.svg())
+}
+
+/// What people call a site.
+fn title(now: Option<&SiteNow>, site: &str) -> String {
+    now.and_then(|now| now.known.place.name.clone())
+        .map_or_else(|| site.to_owned(), |name| format!("{name} ({site})"))
 }
 
 fn span(summary: &Summary) -> (String, String) {
@@ -150,22 +142,30 @@ fn tables_along(summary: &Summary) -> Vec<File> {
 }
 
 /// The page over all sites, its table and its map's data.
-pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
+pub(super) fn index_files(
+    summaries: &[Summary],
+    morning: &Morning,
+    tiles: Option<&Tiles>,
+) -> Vec<File> {
     let mut csv = String::from(
         "site,first_day,last_day,days,lanes,archived_pct,known_pct,mean_density_veh_km,\
          low90_veh_km,high90_veh_km\n",
     );
-    let unknown = Place::default();
+    let places: BTreeMap<String, Known> =
+        morning.sites.iter().map(|site| (site.site.clone(), site.known.clone())).collect();
+    let unknown = Known::default();
     let mut table = String::from(
-        "<table>\n<tr><th>site</th><th class=\"text\">where</th><th>days</th><th>lanes</th>\
-         <th>archived</th>\
-         <th>with density</th><th>mean veh/km/lane (90 %)</th></tr>\n",
+        "<table class=\"cards\">\n<thead><tr><th scope=\"col\">site</th>\
+         <th scope=\"col\" class=\"text\">where</th><th scope=\"col\">days</th>\
+         <th scope=\"col\">lanes</th><th scope=\"col\">archived</th>\
+         <th scope=\"col\">with density</th><th scope=\"col\">mean veh/km/lane (90 %)</th></tr>\
+         </thead>\n<tbody>\n",
     );
     let mut day = [Mean::default(); BINS];
     let mut week = vec![[Mean::default(); BINS]; 7];
     for summary in summaries {
         let (site, name) = (&summary.site, escaped(&summary.site));
-        let place = places.get(site).unwrap_or(&unknown);
+        let place = &places.get(site).unwrap_or(&unknown).place;
         let (first, last) = span(summary);
         let (days, lanes) = (summary.days.len(), summary.lanes().len());
         let [archived, known] = summary.completeness_pct();
@@ -181,9 +181,10 @@ pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
         }
         let _ = writeln!(
             table,
-            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td class=\"text\">{}</td>\
-             <td>{days}</td><td>{lanes}</td>\
-             <td>{archived:.1} %</td><td>{known:.1} %</td><td>{mean}</td></tr>",
+            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td><td class=\"text\" data-label=\"where\">{}</td>\
+             <td data-label=\"days\">{days}</td><td data-label=\"lanes\">{lanes}</td>\
+             <td data-label=\"archived\">{archived:.1} %</td><td data-label=\"with density\">{known:.1} %</td>\
+             <td data-label=\"mean veh/km/lane (90 %)\">{mean}</td></tr>",
             escaped(&place.words().join(", "))
         );
         for (bin, lanes) in summary.day_by_lane.iter().enumerate() {
@@ -195,59 +196,29 @@ pub(super) fn index_files(summaries: &[Summary], places: &Places) -> Vec<File> {
             all.iter_mut().zip(site).for_each(|(all, site)| all.add_mean(*site));
         }
     }
-    table += "</table>\n";
+    table += "</tbody></table>\n";
     let drawings: [(&str, Drawing); 2] = [
         ("average_day.png", charts::network_day(&day)),
         ("week.png", charts::week("all sites: average week", &week)),
     ];
-    let (mut body, trouble) = trouble(summaries, places);
+    let mut body = morning.body(tiles);
+    body += "<h2>Averages</h2>\n<p class=\"muted\">Over all days of the report. A lighter colour is a \
+             higher density; grey is not known.</p>\n";
+    let trouble = morning.trouble_csv();
     let mut files = vec![
         ("trouble.csv".to_owned(), trouble.into_bytes()),
+        ("last_day.csv".to_owned(), morning.last_day_csv().into_bytes()),
         ("sites.csv".to_owned(), csv.into_bytes()),
-        ("sites.geojson".to_owned(), places::geojson(summaries, places)),
+        ("sites.geojson".to_owned(), places::geojson(summaries, &places)),
     ];
     for (name, drawing) in drawings {
-        body += &drawing.svg();
+        body += &paper(&drawing);
         files.push((name.to_owned(), drawing.png()));
     }
     body += &table;
     body += "<p>As a table: <a href=\"sites.csv\">sites.csv</a>, \
              <a href=\"trouble.csv\">trouble.csv</a>, as a map's data: \
              <a href=\"sites.geojson\">sites.geojson</a></p>\n";
-    files.push(("index.html".into(), page("Traffic density", &body)));
+    files.push(("index.html".into(), page("Traffic density", &body, None)));
     files
-}
-
-/// What is wrong with which site, the oldest first: for the page, and as a table.
-fn trouble(summaries: &[Summary], places: &Places) -> (String, String) {
-    let mut csv = String::from("site,since,reason\n");
-    let of =
-        |site: &Summary| site.trouble.iter().map(|it| (it.clone(), site.site.clone())).collect();
-    let mut all: Vec<(Trouble, String)> = summaries.iter().flat_map::<Vec<_>, _>(of).collect();
-    all.sort();
-    if all.is_empty() {
-        return ("<p>Nothing is wrong with any site.</p>\n".to_owned(), csv);
-    }
-    let mut sites: Vec<&str> = all.iter().map(|(_, site)| site.as_str()).collect();
-    sites.sort_unstable();
-    sites.dedup();
-    let mut table = format!(
-        "<h2>Trouble: {} of {} sites</h2>\n<table>\n<tr><th>site</th><th class=\"text\">where</th>\
-         <th>since (UTC)</th><th class=\"text\">what</th></tr>\n",
-        sites.len(),
-        summaries.len()
-    );
-    for (Trouble { since_ms, reason }, site) in &all {
-        let since = verge_messages::rfc3339(*since_ms);
-        let (name, place) = (escaped(site), places.get(site).map(Place::words).unwrap_or_default());
-        let _ = writeln!(csv, "{site},{since},\"{reason}\"");
-        let _ = writeln!(
-            table,
-            "<tr><td><a href=\"sites/{name}/index.html\">{name}</a></td>\
-             <td class=\"text\">{}</td><td>{}</td><td class=\"text\">{reason}</td></tr>",
-            escaped(&place.join(", ")),
-            since[..16].replace('T', " ")
-        );
-    }
-    (table + "</table>\n<h2>All sites</h2>\n", csv)
 }

@@ -90,16 +90,6 @@ pub(super) fn lanes(scope: &Scope) -> String {
     )
 }
 
-/// Each lane and window of the last two days: what is wrong now.
-pub(super) fn latest(scope: &Scope) -> String {
-    let [first, last] = scope.days;
-    let condition = Scope { days: [first.max(last - 1), last], ..scope.clone() }.condition();
-    format!(
-        "SELECT lane, CAST(\"from\" AS BIGINT) AS at, status, clock_synced
-        FROM {TABLE} WHERE {condition} AND cell IS NULL"
-    )
-}
-
 /// Average day by position, and with it the density along the road: of cells.
 ///
 /// `first` is the first window that has a density; position and length tell lane tables apart.

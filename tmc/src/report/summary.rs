@@ -1,81 +1,17 @@
 //! The sums of one site: what a report draws, from the rows that the queries return.
 //!
 //! Means are over windows with a known density; what is not known counts in the completeness
-//! alone. Densities have 24 bits and are added up in 53: below 2^29 times the least of them
-//! their sums are exact, and so the same in whatever order they were added.
+//! alone.
 
 use super::queries::{BINS, LANES};
-use super::trouble::Trouble;
+use super::sums::{Mean, Sums, column};
 use crate::store::DAY_MS;
-use datafusion::arrow::array::{Array, AsArray, PrimitiveArray, RecordBatch};
-use datafusion::arrow::datatypes::{
-    ArrowPrimitiveType, Float32Type, Float64Type, Int32Type, Int64Type,
-};
+use datafusion::arrow::array::{Array, RecordBatch};
+use datafusion::arrow::datatypes::{Float32Type, Int32Type, Int64Type};
 use std::collections::BTreeMap;
 
 /// Most cells along a road: more are faults.
 const MOST_CELLS: usize = 4096;
-
-/// Standard errors of a mean within which 90 % of it lies.
-const Z90: f64 = 1.645;
-
-/// A running mean, with its errors.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Mean {
-    sum: f64,
-    /// Values in it.
-    pub count: u64,
-    /// Of those whose parts of error are known.
-    errors: Errors,
-}
-
-/// Sums over values of which sampling, calibration and counting errors are known.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Errors {
-    count: u64,
-    /// Of the sampling errors' squares.
-    variance: f64,
-    calibration: f64,
-    counting: f64,
-}
-
-impl Mean {
-    fn add(&mut self, other: Self) {
-        self.sum += other.sum;
-        self.count += other.count;
-        let (errors, others) = (&mut self.errors, other.errors);
-        errors.count += others.count;
-        errors.variance += others.variance;
-        errors.calibration += others.calibration;
-        errors.counting += others.counting;
-    }
-
-    /// Takes in another mean's value as one, of which no error is known.
-    pub fn add_mean(&mut self, other: Self) {
-        if let Some(value) = other.value() {
-            self.sum += value;
-            self.count += 1;
-        }
-    }
-
-    /// The mean; none of nothing.
-    pub fn value(self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum / self.count as f64)
-    }
-
-    /// The interval that holds the mean with a probability of 90 %; none where an error of one of
-    /// its values is not known.
-    ///
-    /// Sampling errors of windows are independent, and their mean is that much smaller; calibration
-    /// and counting err alike in all of them, and their errors stay.
-    pub fn interval(self) -> Option<[f64; 2]> {
-        let (mean, Errors { count, variance, calibration, counting }) =
-            (self.value()?, self.errors);
-        let n = count as f64;
-        let joint = (variance + calibration.powi(2) + counting.powi(2)).sqrt() / n;
-        (count == self.count).then_some([(mean - Z90 * joint).max(0.0), mean + Z90 * joint])
-    }
-}
 
 /// Windows of one day (UTC) and lane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -141,8 +77,6 @@ pub struct Summary {
     pub along: [Along; LANES],
     /// Days since 1970 (UTC), each with its lanes.
     pub days: Vec<(i64, [Windows; LANES])>,
-    /// What is wrong at the end, the oldest first.
-    pub trouble: Vec<Trouble>,
 }
 
 impl Summary {
@@ -158,7 +92,6 @@ impl Summary {
             week: vec![[Mean::default(); BINS]; 7],
             along: Default::default(),
             days: Vec::new(),
-            trouble: Vec::new(),
         };
         let mut days = BTreeMap::<i64, [Windows; LANES]>::new();
         for batch in batches {
@@ -290,185 +223,5 @@ impl CellGroup {
             densities: sums.get(row),
             since_ms: since.value(row),
         })
-    }
-}
-
-/// Sums of densities and their counts, and of their errors where the query asks for them.
-struct Sums<'a> {
-    density: &'a PrimitiveArray<Float64Type>,
-    known: &'a PrimitiveArray<Int64Type>,
-    errors: Option<(&'a PrimitiveArray<Int64Type>, [&'a PrimitiveArray<Float64Type>; 3])>,
-}
-
-impl<'a> Sums<'a> {
-    fn of(batch: &'a RecordBatch) -> Self {
-        let errors = batch.column_by_name("stated").is_some().then(|| {
-            let parts = ["variance", "calibration", "counting"].map(|name| column(batch, name));
-            (column(batch, "stated"), parts)
-        });
-        Self { density: column(batch, "density"), known: column(batch, "known"), errors }
-    }
-
-    fn get(&self, row: usize) -> Mean {
-        // A sum of nothing is null, and 0 below that.
-        let sum = |of: &PrimitiveArray<Float64Type>| {
-            if of.is_null(row) { 0.0 } else { of.value(row) }
-        };
-        let errors = self.errors.map_or_else(Errors::default, |(count, parts)| {
-            let [variance, calibration, counting] = parts.map(sum);
-            Errors { count: count.value(row) as u64, variance, calibration, counting }
-        });
-        Mean { sum: sum(self.density), count: self.known.value(row) as u64, errors }
-    }
-}
-
-pub(super) fn column<'a, T: ArrowPrimitiveType>(
-    batch: &'a RecordBatch,
-    name: &str,
-) -> &'a PrimitiveArray<T> {
-    batch.column_by_name(name).expect("the queries name it").as_primitive()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::engine::Engine;
-    use super::super::queries::{self, Scope};
-    use super::*;
-    use crate::store::{self, Partition, Row};
-
-    /// Monday 5 January 2026, 23:30 UTC, is Tuesday 07:30 in Hong Kong.
-    const FROM: i64 = 1_767_655_800_000;
-
-    fn lane(window_s: i32, from_ms: i64, lane: i32, density: Option<f32>) -> Row {
-        Row {
-            window_s,
-            from_ms,
-            lane,
-            cell: None,
-            position_m: None,
-            length_m: 77.0,
-            density,
-            se: None,
-            vehicles: None,
-            occupancy: None,
-            frames_used: 30,
-            frames_expected: 30,
-            status: 2,
-            seq: 1,
-            clock_synced: true,
-            rel_err: None,
-            ci90: None,
-            calibration_se: None,
-            counting_se: None,
-        }
-    }
-
-    /// Sums of one day's rows, Hong Kong time.
-    fn summary(mut rows: Vec<Row>) -> Summary {
-        let folder = tempfile::tempdir().unwrap();
-        let day = Partition { site: "a".into(), day: FROM.div_euclid(DAY_MS) };
-        rows.sort_by_key(Row::key);
-        store::write(&day.path(folder.path()), &rows).unwrap();
-        let mut scope = Scope {
-            site: "a".into(),
-            days: [day.day; 2],
-            without: Vec::new(),
-            window_s: None,
-            offset_ms: 8 * 3_600_000,
-        };
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(async {
-            let engine = Engine::open(folder.path(), None, 1).await.unwrap();
-            let batches = engine.ask(&queries::lanes(&scope)).await.unwrap();
-            let mut summary = Summary::of_lanes("a", &batches);
-            scope.window_s = summary.window_s;
-            summary.add_cells(&engine.ask(&queries::cells(&scope)).await.unwrap());
-            summary
-        })
-    }
-
-    #[test]
-    fn rows_fall_into_local_time_weekday_and_place() {
-        let cell = |number, cell, position_m, length_m, density| Row {
-            cell: Some(cell),
-            position_m: Some(position_m),
-            length_m,
-            ..lane(60, FROM, number, density)
-        };
-        let summary = summary(vec![
-            lane(60, FROM, 1, Some(10.0)),
-            lane(60, FROM, 2, None),
-            lane(60, FROM + 60_000, 1, Some(20.0)),
-            lane(900, FROM, 1, Some(99.0)),
-            cell(1, 0, 0.0, 10.0, Some(30.0)),
-            cell(1, 1, 10.0, 4.0, Some(40.0)),
-            // The sixth cell of 11 m of lane 2 is the sixth, whatever the cells of lane 1.
-            cell(2, 0, 0.0, 11.0, Some(50.0)),
-            cell(2, 5, 55.0, 11.0, Some(60.0)),
-            cell(2, 6, 66.0, 11.0, None),
-        ]);
-        assert_eq!((summary.rows, summary.lanes()), (8, vec![0, 1]));
-        assert_eq!(summary.day_by_lane[30][0].value(), Some(15.0));
-        assert_eq!(summary.day_by_lane[30][1].value(), None);
-        assert_eq!((summary.week[1][30].sum, summary.week[1][30].count), (30.0, 2));
-        assert_eq!(summary.lanes_along(), [0, 1]);
-        let means = |lane: usize| summary.along[lane].means().map(Mean::value).collect::<Vec<_>>();
-        assert_eq!(means(0), [Some(30.0), Some(40.0)]);
-        assert_eq!(means(1), [Some(50.0), None, None, None, None, Some(60.0)]);
-        assert_eq!(summary.along[0].day[0][30].value(), Some(30.0));
-        assert_eq!(
-            (summary.along[1].day[5][29].value(), summary.along[1].position_m(5)),
-            (None, 55.0)
-        );
-        assert_eq!(summary.days[0].0, 20_458);
-        let [archived, known] = summary.completeness(&summary.days[0].1);
-        assert!((archived - 3.0 / 2880.0).abs() < 1e-12 && (known - 2.0 / 2880.0).abs() < 1e-12);
-        assert_eq!(summary.mean().value(), Some(15.0));
-    }
-
-    #[test]
-    fn the_interval_of_a_mean_is_known_where_that_of_each_window_is() {
-        let errors = |sampling: f32, calibration, counting, row: Row| Row {
-            se: Some(sampling),
-            calibration_se: Some(calibration),
-            counting_se: Some(counting),
-            ..row
-        };
-        let of = |minute: i64, density| lane(60, FROM + minute * 60_000, 1, Some(density));
-        let stated = [errors(3.0, 1.0, 1.5, of(0, 10.0)), errors(4.0, 2.0, 2.5, of(1, 20.0))];
-        let found = summary(stated.to_vec()).day_by_lane[30][0].interval();
-        // Sampling 5 / 2, calibration 3 / 2, counting 4 / 2.
-        let joint = (2.5f64.powi(2) + 1.5f64.powi(2) + 2.0f64.powi(2)).sqrt();
-        let [low, high] = found.expect("all is known");
-        assert!((low - (15.0 - 1.645 * joint)).abs() < 1e-12, "{low}");
-        assert!((high - (15.0 + 1.645 * joint)).abs() < 1e-12, "{high}");
-        let mut partly = stated.to_vec();
-        partly.push(of(2, 10.0));
-        let mean = summary(partly).day_by_lane[30][0];
-        assert_eq!((mean.count, mean.interval()), (3, None));
-    }
-
-    #[test]
-    fn a_new_lane_table_goes_to_the_cells_of_the_first() {
-        let cell = |minute: i64, position_m, length_m, density| Row {
-            cell: Some(0),
-            position_m: Some(position_m),
-            length_m,
-            ..lane(60, FROM + minute * 60_000, 1, density)
-        };
-        let summary = summary(vec![
-            lane(60, FROM, 1, None),
-            // Not known: its cells of 5 m are not the first.
-            cell(0, 0.0, 5.0, None),
-            cell(1, 0.0, 10.0, Some(1.0)),
-            cell(1, 10.0, 10.0, Some(2.0)),
-            cell(2, 0.0, 9.0, Some(3.0)),
-            cell(2, 9.0, 9.0, Some(6.0)),
-            cell(2, 18.0, 9.0, Some(9.0)),
-        ]);
-        let means: Vec<_> = summary.along[0].means().map(Mean::value).collect();
-        assert_eq!(summary.along[0].cell_m, 10.0);
-        assert_eq!(means, [Some(2.0), Some(4.0), Some(9.0)]);
-        assert_eq!(summary.rows, 7);
     }
 }

@@ -7,9 +7,16 @@
 //! that begin with `_` are the archivers' own. A folder that is not the archive's is passed
 //! over, and named.
 
-mod parquet_file;
+pub mod events;
+mod read;
+mod row;
+mod schema;
+mod write;
 
-pub use parquet_file::{Rows, arrow_schema, read, write, write_rows};
+pub use read::{Rows, read};
+pub use row::{Moving, Row};
+pub use schema::arrow_schema;
+pub use write::{write, write_rows};
 
 use std::path::{Path, PathBuf};
 use verge_desk::Failure;
@@ -17,57 +24,6 @@ use verge_desk::Failure;
 /// A day, ms.
 pub const DAY_MS: i64 = 86_400_000;
 const FILE: &str = "density.parquet";
-
-/// One row: a lane, or a cell of it, in a window.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Row {
-    /// Length of the window, s.
-    pub window_s: i32,
-    /// Its beginning, ms since 1970.
-    pub from_ms: i64,
-    /// Lane, from 1.
-    pub lane: i32,
-    /// Cell of the lane, from 0 at its upstream end; none: the whole lane.
-    pub cell: Option<i32>,
-    /// Where the cell begins along the lane, m.
-    pub position_m: Option<f32>,
-    /// Length of lane or cell, m.
-    pub length_m: f32,
-    /// Density, veh/km.
-    pub density: Option<f32>,
-    /// One standard error of it from sampling, veh/km.
-    pub se: Option<f32>,
-    /// Mean number of vehicles.
-    pub vehicles: Option<f32>,
-    /// Share of the length that vehicles cover.
-    pub occupancy: Option<f32>,
-    /// Frames used.
-    pub frames_used: i32,
-    /// Frames expected.
-    pub frames_expected: i32,
-    /// Status, a number of NTCIP 1209.
-    pub status: i32,
-    /// Number of the message among the site's.
-    pub seq: i64,
-    /// Whether the box's clock was set.
-    pub clock_synced: bool,
-    /// One standard error of a length from calibration, as a fraction.
-    pub rel_err: Option<f32>,
-    /// Interval that holds the density with a probability of 90 %, veh/km.
-    pub ci90: Option<[f32; 2]>,
-    /// One standard error of the density from calibration, veh/km.
-    pub calibration_se: Option<f32>,
-    /// One standard error of the density from counting, veh/km.
-    pub counting_se: Option<f32>,
-}
-
-impl Row {
-    /// Its place in the file.
-    pub fn key(&self) -> (bool, i32, i64, i32, i32) {
-        let cell = self.cell.unwrap_or(-1);
-        (self.cell.is_some(), self.window_s, self.from_ms, self.lane, cell)
-    }
-}
 
 /// A partition: one site's day.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -116,6 +72,17 @@ pub fn partitions(root: &Path) -> Result<Vec<Partition>, Failure> {
     Ok(found)
 }
 
+/// The sites that have a folder, by name.
+///
+/// # Errors
+/// [`Failure`] where `root` is not there.
+pub fn sites(root: &Path) -> Result<Vec<String>, Failure> {
+    let all = named(root, "site=")?.into_iter().map(|(site, _)| site);
+    let mut sites: Vec<_> = all.filter(|site| crate::message::is_site(site)).collect();
+    sites.sort();
+    Ok(sites)
+}
+
 /// The partitions of one site that have a file, by day.
 ///
 /// # Errors
@@ -161,3 +128,6 @@ fn named(folder: &Path, prefix: &str) -> Result<Vec<(String, PathBuf)>, Failure>
     }
     Ok(found)
 }
+
+#[cfg(test)]
+mod tests;

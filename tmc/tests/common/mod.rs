@@ -8,7 +8,12 @@ use verge_tmc::store::{self, Partition, Row};
 
 /// Runs verge-tmc.
 pub fn tmc(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_verge-tmc")).args(args).output().expect("the program starts")
+    Command::new(env!("CARGO_BIN_EXE_verge-tmc"))
+        .args(args)
+        // A page says when it was made: always at the same time.
+        .env("SOURCE_DATE_EPOCH", "1800000000")
+        .output()
+        .expect("the program starts")
 }
 
 /// Runs verge-tmc, which must succeed; its standard output.
@@ -67,6 +72,7 @@ pub fn made_day(site: &str, day: i64, root: &Path) {
                 ci90: density.map(|density| [0.5 * density, 1.5 * density]),
                 calibration_se: known.then_some(0.5),
                 counting_se: known.then_some(1.5),
+                traffic: None,
             };
             for (cell, share) in [0.5, 1.5].into_iter().enumerate() {
                 rows.push(Row {

@@ -1,15 +1,20 @@
 //! The connection to the broker: the door of the crate `rumqttc`.
 //!
-//! Owns the session, which the broker keeps while the archiver is away, the subscriptions
+//! Owns the session, which the broker keeps for an archiver that is away, the subscriptions
 //! and the acknowledgements, which are given by hand.
 
-use super::door::LARGEST;
-use super::tls::Tls;
+mod arguments;
+mod tls;
+
+pub use arguments::BrokerArguments;
+
 use crate::failure::Failure;
 use rumqttc::{Client, Connection, Event, MqttOptions, Packet, Publish, QoS};
 use rumqttc::{TlsConfiguration, Transport};
 use std::time::{Duration, Instant};
 
+/// Largest message of verge, bytes: eight lanes of 32 cells take 7 KB of JSON.
+pub const LARGEST: usize = 64 << 10;
 /// Longest wait for the broker at the start.
 const START: Duration = Duration::from_secs(10);
 /// Between two attempts after that.
@@ -28,21 +33,24 @@ const REQUESTS: usize = 2 * BATCH;
 const GOODBYE: Duration = Duration::from_millis(500);
 
 /// Where the broker is, and what is wanted of it.
-pub(super) struct Settings {
-    pub(super) host: String,
-    pub(super) port: u16,
+pub struct Settings {
+    host: String,
+    port: u16,
     /// Client id: the name of the session.
-    pub(super) name: String,
-    pub(super) credentials: Option<(String, String)>,
-    pub(super) tls: Option<Tls>,
-    pub(super) filters: [String; 2],
+    name: String,
+    credentials: Option<(String, String)>,
+    tls: Option<tls::Tls>,
+    filters: Vec<String>,
+    /// Whether the broker keeps the session while the program is away.
+    is_kept: bool,
 }
 
 /// A message, and how it is acknowledged.
-pub(super) struct Arrived {
-    pub(super) topic: String,
+pub struct Arrived {
+    /// Where it was published.
+    pub topic: String,
     /// Of one that is too large, its beginning: more than [`LARGEST`] bytes.
-    pub(super) payload: Vec<u8>,
+    pub payload: Vec<u8>,
     publish: Publish,
 }
 
@@ -55,21 +63,25 @@ impl Arrived {
     }
 }
 
-pub(super) struct Subscriber {
+/// A connection with its subscriptions.
+pub struct Subscriber {
     client: Client,
     connection: Connection,
-    filters: [String; 2],
+    filters: Vec<String>,
     connected: bool,
 }
 
 impl Subscriber {
     /// Connects and subscribes.
-    pub(super) fn connect(settings: Settings) -> Result<Self, Failure> {
-        let Settings { host, port, name, credentials, tls, filters } = settings;
+    ///
+    /// # Errors
+    /// [`Failure::Broker`].
+    pub fn connect(settings: Settings) -> Result<Self, Failure> {
+        let Settings { host, port, name, credentials, tls, filters, is_kept } = settings;
         let address = format!("{host}:{port}");
         let mut options = MqttOptions::new(name, host, port);
         options.set_keep_alive(KEEP_ALIVE);
-        options.set_clean_session(false);
+        options.set_clean_session(!is_kept);
         options.set_manual_acks(true);
         options.set_max_packet_size(LARGEST_PACKET, LARGEST);
         if let Some((user, password)) = credentials {
@@ -100,7 +112,7 @@ impl Subscriber {
     }
 
     /// The messages that are there, waiting for the first at most so long.
-    pub(super) fn receive(&mut self, patience: Duration) -> Vec<Arrived> {
+    pub fn receive(&mut self, patience: Duration) -> Vec<Arrived> {
         let (mut messages, mut bytes) = (Vec::<Arrived>::new(), 0);
         let until = Instant::now() + patience;
         while messages.len() < BATCH && bytes < BATCH_BYTES {
@@ -153,7 +165,7 @@ impl Subscriber {
     ///
     /// Not where the connection has broken since: the numbers of its packets mean nothing to
     /// the next one, on which the broker sends the messages again.
-    pub(super) fn acknowledge(&mut self, messages: &[Arrived]) {
+    pub fn acknowledge(&mut self, messages: &[Arrived]) {
         if !self.connected {
             return;
         }
@@ -163,8 +175,13 @@ impl Subscriber {
         }
     }
 
+    /// Whether the connection stands.
+    pub const fn is_connected(&self) -> bool {
+        self.connected
+    }
+
     /// Sends what is still to be sent and disconnects.
-    pub(super) fn leave(mut self) {
+    pub fn leave(mut self) {
         let _ = self.client.try_disconnect();
         let until = Instant::now() + GOODBYE;
         while let Ok(Ok(_)) =

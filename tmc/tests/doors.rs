@@ -22,21 +22,24 @@ fn each_outside_crate_has_one_door() {
     let mut found = Vec::new();
     sources(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/src")), &mut found);
     assert!(found.len() > 20, "the crate has sources");
-    let doors = [
-        ("parquet::", "src/store/parquet_file.rs"),
-        ("rumqttc::", "src/archive/subscriber.rs"),
-        ("resvg::", "src/chart/png.rs"),
-        ("signal_hook::", "src/archive/mod.rs"),
-        ("rustls::", "src/archive/tls.rs"),
-        ("datafusion::prelude", "src/report/engine.rs"),
-        ("ballista::", "src/report/engine.rs"),
-        ("verge::", "src/message.rs"),
-        ("mvcalib::", "nowhere"),
-        ("street::", "nowhere"),
+    let doors: [(&str, &[&str]); 11] = [
+        // Density files are written by column; the morning reads a few columns of many files.
+        ("parquet::", &["src/store/", "src/morning/day.rs"]),
+        ("rumqttc::", &["src/broker/mod.rs"]),
+        ("resvg::", &["src/chart/png.rs"]),
+        ("signal_hook::", &["src/archive/mod.rs", "src/exporter/mod.rs", "src/serve.rs"]),
+        ("tiny_http::", &["src/exporter/mod.rs", "src/serve.rs"]),
+        ("rustls::", &["src/broker/tls.rs"]),
+        ("datafusion::prelude", &["src/report/engine.rs"]),
+        ("ballista::", &["src/report/engine.rs"]),
+        ("verge::", &["src/message.rs"]),
+        ("mvcalib::", &[]),
+        ("street::", &[]),
     ];
     for (path, text) in &found {
         for (outside, door) in doors {
-            assert!(path.ends_with(door) || !text.contains(outside), "{path} names {outside}");
+            let is_door = door.iter().any(|door| path.contains(door));
+            assert!(is_door || !text.contains(outside), "{path} names {outside}");
         }
     }
 }

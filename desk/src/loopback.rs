@@ -198,7 +198,7 @@ fn body(request: &mut Request) -> Result<Vec<u8>, Reply> {
     Ok(bytes)
 }
 
-/// A name of an address, its percent signs resolved; `None` where it is no text.
+/// A name of an address, its percent signs resolved; `None` where it is not text.
 pub fn decoded(name: &str) -> Option<String> {
     let mut bytes = Vec::with_capacity(name.len());
     let mut rest = name.bytes();

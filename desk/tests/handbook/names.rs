@@ -90,7 +90,8 @@ impl Known {
     fn key_fault(&self, word: &str) -> Option<String> {
         let (section, _) = word.split_once('.')?;
         let is_key = word.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c == '.');
-        if !is_key || word.ends_with(".toml") || word.ends_with(".rs") || word.ends_with(".md") {
+        let is_file = [".toml", ".rs", ".md", ".json"].iter().any(|end| word.ends_with(end));
+        if !is_key || is_file {
             return None;
         }
         let dotted = format!("{section}.");

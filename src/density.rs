@@ -1,11 +1,11 @@
 //! Density per lane over windows aligned to the clock, with its standard error.
 //!
-//! Owns the estimator and the life of a window. Reads no clock: each call is told the
+//! Owns the estimator and the life of a window. Reads no clock: each call gets the
 //! time, and closed windows are handed out as values. Does not know where counts come
 //! from or where reports go.
 //!
 //! Density is k = N / L (Hu et al., Eq. 1): the mean number of vehicles over the frames
-//! of a window, divided by the lane's length. The same is told of each cell of the lane.
+//! of a window, divided by the lane's length. Each cell of the lane has the same.
 
 mod cells;
 mod counts;
@@ -31,7 +31,7 @@ pub const MAX_WINDOWS: usize = 6;
 pub const MIN_WINDOW_S: u64 = 10;
 /// Longest window, s (15 min, the longest that traffic centres exchange).
 pub const MAX_WINDOW_S: u64 = 900;
-/// A clock that is set back by more was wrong before: windows begin anew. For less the line
+/// A clock that is set back by more was wrong before: windows start over. For less the line
 /// waits until the time has come that was reported already. An hour, as a clock errs that
 /// takes local time for UTC.
 pub const MAX_WAIT: Duration = Duration::from_secs(3600);
@@ -117,7 +117,7 @@ impl Window {
         }
     }
 
-    /// Begins anew.
+    /// Starts over.
     fn begin(&mut self, from: UtcMs, interval: Duration) {
         (self.from, self.interval, self.skipped_ms) = (Some(from), interval, 0);
         self.series.fill(Series::default());

@@ -1,7 +1,7 @@
 //! Faults that are bounded and counted: a part that fails is asked less often, and a line
 //! that fails too often is given up.
 //!
-//! Owns the waits and limits. Reads no clock: it is told the time since start.
+//! Owns the waits and limits. Reads no clock: callers pass the time since start.
 
 use core::time::Duration;
 
@@ -138,7 +138,7 @@ mod tests {
         assert!((0..5).all(|second| allowance.note(SECOND * second)));
         assert!(!allowance.note(SECOND * 5));
         let mut slow = Allowance::default();
-        assert!((0..100).all(|n| slow.note(SECOND * 13 * n)), "one in 13 s, for ever");
+        assert!((0..100).all(|n| slow.note(SECOND * 13 * n)), "one in 13 s, indefinitely");
         assert_eq!(slow.faults(), 100);
     }
 }

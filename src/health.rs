@@ -12,7 +12,7 @@ use core::time::Duration;
 /// those are longer.
 pub const NOTICE: Duration = Duration::from_secs(20);
 /// The same for a missing picture: half as long, since the line may wait another ten
-/// seconds for the next picture before it can say so. It is said within twenty.
+/// seconds for the next picture before it can report so. It is reported within twenty.
 pub const NOTICE_MISSING: Duration = Duration::from_secs(10);
 /// Camera periods without a new picture until it is noticed.
 pub const PERIODS: u32 = 3;
@@ -118,7 +118,7 @@ impl Health {
         } else if now.saturating_sub(self.last_new) > self.limit {
             Some(Alarm::FrozenPicture)
         } else {
-            // That the camera has moved is said only after several pictures agree on it.
+            // A moved camera is reported only after several pictures agree on it.
             let lasting = |&(alarm, since): &(Alarm, Duration)| {
                 alarm == Alarm::CameraMoved || now.saturating_sub(since) > self.limit
             };

@@ -50,7 +50,7 @@ const VERSION_BARE: u8 = 1;
 const VERSION_SCENE: u8 = 2;
 /// The format of a table that states the length of its cells along a lane.
 const VERSION_CELLS: u8 = 3;
-/// Length of the cells by which density is told along a lane, where a table says nothing, m.
+/// Length of the cells along a lane where a table does not state it, m.
 pub const DEFAULT_CELL_LENGTH_M: f32 = 10.0;
 /// Shortest such cell, m: a vehicle's place is not known better.
 pub const MIN_CELL_LENGTH_M: f32 = 2.0;
@@ -98,7 +98,7 @@ pub struct Description {
     pub calibration_id: Name,
     /// SHA-256 of the calibration file.
     pub calibration_sha256: [u8; 32],
-    /// About how long the cells are by which density is told along a lane, m. From version 3
+    /// Approximate length of the cells along a lane, m. From version 3
     /// of the format it stands behind the others.
     #[serde(skip, default = "default_cell_length_m")]
     pub cell_length_m: f32,

@@ -7,7 +7,7 @@
 
 use core::fmt;
 
-/// A picture whose levels (1st to 99th part in a hundred) span less is blank: black, or the
+/// A picture whose levels (1st to 99th percentile) span less is blank: black, or the
 /// one colour of a converter without a signal. The darkest usable night spans 40.
 pub const BLANK_SPAN: u8 = 16;
 /// Share of cells at the top of the scale from which the camera is blinded.
@@ -80,9 +80,9 @@ impl Light {
 pub struct Look {
     /// Mean level, 0 to 255.
     pub mean: f32,
-    /// Levels from the 1st to the 99th part in a hundred.
+    /// Levels at the 1st and 99th percentile.
     pub span: u8,
-    /// Levels from the 5th to the 95th part in a hundred.
+    /// Levels at the 5th and 95th percentile.
     pub contrast: u8,
     /// Share of cells at the top of the scale.
     pub bright: f32,

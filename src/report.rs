@@ -13,7 +13,7 @@ pub use verge_messages::Status as SampleZoneStatus;
 /// longer lane gets longer cells. Each costs four bytes a window and lane.
 pub const MAX_LANE_CELLS: usize = 32;
 
-/// One lane in one window. `None` where nothing can be said, never 0.
+/// One lane in one window. `None` where it is not known, never 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LaneReport {
     /// The lane.
@@ -82,7 +82,7 @@ pub struct DensityError {
     pub ci90: [f32; 2],
 }
 
-/// Flow, speed and occupancy of a lane in a window. `None` where nothing can be said, never 0.
+/// Flow, speed and occupancy of a lane in a window. `None` where it is not known, never 0.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LaneTraffic {
     /// How far these readings can be used.

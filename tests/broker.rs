@@ -350,7 +350,7 @@ fn mosquitto_sub_receives_what_the_daemon_publishes() {
                 let lane = &message["lanes"][0];
                 assert!(lane["frames_used"].as_u64() >= Some(8), "{message:#}");
                 seen.push("density");
-                // The daemon is told to stop and says goodbye.
+                // The daemon is stopped and disconnects.
                 let id = daemon.0.id().to_string();
                 Command::new("kill").args(["-TERM", &id]).status().expect("kill runs");
             }

@@ -45,7 +45,7 @@ fn camera(name: &str) -> (String, Vec<u8>, String) {
             if stream.read(&mut [0; 4096]).is_ok() {
                 let picture = jpeg(32, 24, 90);
                 let head = format!("HTTP/1.1 200 OK\r\nContent-Length: {}\r\n\r\n", picture.len());
-                // Closed without a word, as cameras do.
+                // Closed without an alert, as cameras do.
                 let _ = stream.write_all(&[head.as_bytes(), &picture].concat());
                 let _ = stream.flush();
             }

@@ -342,7 +342,7 @@ mod datex2 {
 
     /// Holds an element and all below it against their types; collects names and texts.
     pub fn check(element: &Element, declared: &str, values: &mut Vec<(String, String)>) {
-        // An abstract type is told by the instance.
+        // The instance names the concrete type.
         let kind = element.attribute("xsi:type").unwrap_or(declared);
         let Some(model) = model(kind) else {
             assert!(element.children.is_empty(), "{}: {kind} has no children", element.name);

@@ -130,7 +130,7 @@ fn a_window_that_is_acknowledged_and_thrown_away_stays() {
     accept(&mut outlet, 1);
     tend(&mut outlet, "the verdict", |outlet| outlet.publisher().counts().1 > 0);
     assert_eq!(outlet.counts().waiting, 1);
-    // The list is mended, and a new session has a new try.
+    // The list is corrected, and a new session tries again.
     broker.change(Manners { versions: vec![4], ..Manners::default() });
     broker.hang_up();
     tend(&mut outlet, "delivery", |outlet| outlet.counts().waiting == 0);

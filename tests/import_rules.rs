@@ -30,7 +30,7 @@ fn code(text: &str) -> String {
     product.lines().map(plain).collect::<Vec<_>>().join("\n")
 }
 
-/// Whether `word` stands in `code` as a whole path segment before `::`.
+/// Whether `word` occurs in `code` as a whole path segment before `::`.
 fn names(code: &str, word: &str) -> bool {
     code.match_indices(&format!("{word}::")).any(|(at, _)| {
         // `commands::detect` is a command and not the stage.
@@ -301,7 +301,7 @@ fn modules_import_each_other_in_one_direction() {
 
 #[test]
 fn the_daemons_hub_takes_nothing_from_a_stage() {
-    // What stands in `mod.rs` is seen by every module of the daemon.
+    // Every module of the daemon sees what `mod.rs` declares.
     let text = fs::read_to_string("src/daemon/mod.rs").expect("the hub");
     let ours = |path: &str| !["std::", "crate::hal::"].iter().any(|start| path.starts_with(start));
     let taken: Vec<_> = imports(&code(&text)).into_iter().filter(|(_, path)| ours(path)).collect();

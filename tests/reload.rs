@@ -1,4 +1,4 @@
-//! `verge run` is told by SIGHUP to read its configuration again, as `systemctl reload` does.
+//! SIGHUP makes `verge run` read its configuration again, as `systemctl reload` does.
 
 mod common;
 

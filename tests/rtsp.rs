@@ -208,7 +208,7 @@ fn camera(url: &str) -> Source {
     Source::network(settings(url))
 }
 
-/// Asks until a new picture comes, and returns what was said before.
+/// Asks until a new picture comes, and returns what was reported before.
 fn until_new(camera: &mut Source, frame: &mut Frame) -> Vec<String> {
     let (begun, mut said) = (Instant::now(), Vec::new());
     loop {

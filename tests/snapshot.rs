@@ -103,7 +103,7 @@ fn redirects_are_followed_but_not_for_ever() {
     assert!(error.contains("redirect"), "{error}");
 }
 
-/// What is said when this is the answer.
+/// The message when this is the answer.
 fn fault(answers: Vec<Vec<u8>>) -> String {
     let (url, _) = serve(answers);
     camera(&url).next(&mut Frame::default()).expect_err("no picture").to_string()
@@ -135,7 +135,10 @@ fn faults_are_named() {
             answer("302 Found", "Location: http://elsewhere.example/\r\n", b""),
             "camera.redirect_hosts",
         ),
-        (answer("302 Found", "Location: file:///etc/passwd\r\n", b""), "no address of a picture"),
+        (
+            answer("302 Found", "Location: file:///etc/passwd\r\n", b""),
+            "not the address of a picture",
+        ),
         (answer("200 OK", "", &vec![0; 9 << 20]), "more than"),
     ] {
         let said = fault(vec![answer]);

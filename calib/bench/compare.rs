@@ -10,7 +10,7 @@ use mvcalib::paper::loss::Form;
 use mvcalib::road::marks::Accuracy;
 use rayon::prelude::*;
 
-/// A method as it stands in a row of the table.
+/// A method, as a row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// What the row is called.

@@ -121,7 +121,7 @@ pub const HK_LIKE: Kind = Kind {
 /// Sacramento's: 720 x 480, marks 40 feet apart. Seven vehicles here, six in the paper.
 pub const SAC_LIKE: Kind = Kind { image_size: [720, 480], segment_m: 12.192, ..HK_LIKE };
 
-/// Draws of a scene before it is given up and begun anew, and of a vehicle in a scene.
+/// Draws of a scene before it is given up and begun again, and of a vehicle in a scene.
 const ATTEMPTS: usize = 200;
 
 /// Makes the scene of this seed.

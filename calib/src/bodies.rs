@@ -1,4 +1,4 @@
-//! Vehicles that are no passenger cars: vans, saloon taxis, minibuses.
+//! Vehicles other than passenger cars: vans, saloon taxis, minibuses.
 //!
 //! Owns their names and key points. These are laid out from published outer dimensions
 //! (README), not measured as the models of cars are. Does not own how far a vehicle may be

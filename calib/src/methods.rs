@@ -65,7 +65,7 @@ impl Method {
     }
 }
 
-/// What a calibration can be told beside its problem.
+/// Options of a calibration beside its problem.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The method.
@@ -179,7 +179,7 @@ fn of_joint(
     calibration.vehicles = residuals(problem, &joint);
     calibration.uncertainty = Some(joint.uncertainty());
     let worst = named().max_by(|a, b| a.1.total_cmp(b.1)).map(|(name, misfit)| (name, *misfit));
-    // A length that cannot be stated is no better than one that is badly uncertain.
+    // A length without a stated error is as bad as a very uncertain one.
     let rel_err = Some(calibration.rel_err.unwrap_or(f64::NAN));
     let far_rel_err = Some(joint.known().far_ahead().map_or(f64::NAN, |e| e.rel_sd));
     let evidence = Evidence { rel_err, far_rel_err, worst, focal_bounds: None };

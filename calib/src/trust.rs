@@ -95,14 +95,14 @@ pub enum Reason {
     UncertainFar {
         /// Standard error of a length there as a part of it.
         rel_err: f64,
-        /// What to add to mend it, where that is known.
+        /// What to add as a remedy, where that is known.
         add: Option<String>,
     },
     /// The stated error of a length is too large.
     Uncertain {
         /// Standard error of a length as a part of it.
         rel_err: f64,
-        /// What to add to mend it, where that is known.
+        /// What to add as a remedy, where that is known.
         add: Option<String>,
     },
     /// A key point lies at or above the horizon.
@@ -114,7 +114,7 @@ pub enum Reason {
         /// Where it is, px.
         uv: [f64; 2],
     },
-    /// As it stands in a file that was read.
+    /// As a file that was read states it.
     Stated(String),
 }
 
@@ -247,7 +247,7 @@ pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence<'_>) -> T
     )
 }
 
-/// What mends the far end where vehicles are labelled.
+/// What improves the far end where vehicles are labelled.
 fn further() -> Option<String> {
     Some("vehicles further away, two traced lane lines or a known length".into())
 }
@@ -277,7 +277,7 @@ fn misfit(problem: &Problem, evidence: &Evidence<'_>) -> Option<Reason> {
 }
 
 /// Whether the stated error of a length is too large, or not a number; `add` says what would
-/// mend it.
+/// fix it.
 pub fn uncertain(rel_err: Option<f64>, add: impl FnOnce() -> Option<String>) -> Option<Reason> {
     let rel_err = rel_err.filter(|e| e.is_nan() || *e > MAX_REL_ERR)?;
     Some(Reason::Uncertain { rel_err, add: add() })

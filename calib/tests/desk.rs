@@ -1,5 +1,5 @@
 //! The desk over HTTP: who is refused, what never leaves the folder, and that what used to give
-//! a wrong number without a word is refused. The page itself: `tests/desk_browser`.
+//! a silently wrong number is refused. The page itself: `tests/desk_browser`.
 
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};

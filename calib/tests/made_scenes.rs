@@ -109,7 +109,7 @@ fn cars_from_the_set_make_a_camera_as_good_as_their_true_shapes_would() {
         let found = joint::calibrate(&scene.problem, &Settings::default()).unwrap();
         scene.marks.verify(&found.camera()).unwrap().mape_pct
     });
-    // An oracle that is told the shapes has 0.6 % (docs/measured/calibration.md).
+    // An oracle that knows the shapes has 0.6 % (docs/measured/calibration.md).
     let median = median(errors.collect());
     assert!(median < 0.75, "{median:.2} %");
 }

@@ -37,7 +37,7 @@ def folded(path):
         ort.InferenceSession(path, options, providers=["CPUExecutionProvider"])
         model = onnx.load(options.optimized_model_filepath)
     graph = model.graph
-    # ONNX Runtime sorts anew; `nanodet.carry` and readers want the order of execution.
+    # ONNX Runtime sorts nodes again; `nanodet.carry` and readers want the order of execution.
     order = {node.name: i for i, node in enumerate(onnx.load(path).graph.node)}
     waiting = [onnx.NodeProto.FromString(node.SerializeToString()) for node in graph.node]
     waiting.sort(key=lambda node: order.get(node.name, -1))

@@ -1,7 +1,7 @@
 //! The documents that are generated: the JSON Schema of each message, and the AsyncAPI
 //! document over all topics.
 //!
-//! Owns what stands in them beyond the types: titles, addresses and how channels are retained.
+//! Owns what they have beyond the types: titles, addresses and how channels are retained.
 //! `--example documents` writes them below `docs/reference/`.
 
 use crate::{Alarm, AlarmMessage, Density, Health, Presence, Topic, window_name};
@@ -11,7 +11,7 @@ use schemars::{JsonSchema, Schema};
 use serde_json::{Map, Value, json};
 use std::time::Duration;
 
-/// A file below `docs/reference/`, and what stands in it.
+/// A file below `docs/reference/`, and its content.
 pub type Document = (String, Value);
 
 /// All documents.
@@ -94,7 +94,7 @@ struct Channel {
 }
 
 fn channels() -> [Channel; 6] {
-    // Of which kind is told by the address; which one is a parameter of it.
+    // The address states the kind; which one is a parameter of it.
     let (window, alarm) = (Duration::from_secs(60), Alarm::NoPicture);
     [
         Channel {

@@ -17,7 +17,7 @@
 //!    the same bounds are checked, and `src/messages.rs`, where the core's value comes in.
 //! 3. `cargo run -p verge-messages --features schema --example documents` writes the schemas.
 //!
-//! A test finds a bound that stands in the schema and not in the check, or the other way round.
+//! A test finds a bound that is in the schema and not in the check, or the other way round.
 //! A field that is added changes no version. One that goes, or means something else, is a new
 //! [`SCHEMA`]. A place came with a version of its own, [`SCHEMA_WITH_PLACE`]: a message without one
 //! has the bytes it always had.

@@ -14,7 +14,7 @@ pub enum Presence {
     Online,
     /// About to end, on purpose.
     Shutdown,
-    /// Gone without a word: the last will.
+    /// Gone without a goodbye: the last will.
     Offline,
 }
 

@@ -239,7 +239,7 @@ mod tests {
             assert!(error.contains(expected), "{to}: {error}");
         }
         // With serde_json's feature float_roundtrip, which some builds of the workspace turn on,
-        // the parser refuses what is no f32 before the check can.
+        // the parser refuses what is not an f32 before the check can.
         let error = changed("24.25", "1e39").expect_err("beyond f32").to_string();
         let by_check = error.contains("lanes[0].density_veh_km: inf: 0 to 10000 is right");
         assert!(by_check || error.contains("number out of range at line 1 column"), "{error}");

@@ -32,13 +32,13 @@ pub struct Address {
     pub host: String,
     /// Port.
     pub port: u16,
-    /// Path and query, as they stand in a request.
+    /// Path and query, as a request has them.
     pub target: String,
-    /// User and password that stand in the address, decoded.
+    /// User and password of the address, decoded.
     pub login: Option<(String, String)>,
 }
 
-/// Why a text is no address. Never quotes it: it may hold a password.
+/// Why a text is not an address. Never quotes it: it may hold a password.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddressError {
     /// Another scheme.
@@ -54,7 +54,7 @@ pub enum AddressError {
     #[error("{0:?} is not a host name or an IP address")]
     Host(String),
     /// IPv6 without brackets.
-    #[error("an IPv6 address stands in brackets: http://[2001:db8::1]/path")]
+    #[error("write an IPv6 address in brackets: http://[2001:db8::1]/path")]
     Brackets,
     /// A port that is none.
     #[error(
@@ -160,7 +160,7 @@ impl Address {
             }
     }
 
-    /// Host and port as they stand in a request: the port where it is not the usual one.
+    /// Host and port as a request has them: the port where it is not the usual one.
     pub fn host_port(&self) -> String {
         let host = if self.host.contains(':') {
             format!("[{}]", self.host.split('%').next().unwrap_or_default())
@@ -282,7 +282,7 @@ fn read_host(text: &str) -> Result<(String, Option<u16>), AddressError> {
     }
 }
 
-/// Writes what may not stand in a request's first line in hexadecimal; what is encoded stays.
+/// Writes what is not allowed in a request's first line in hexadecimal; what is encoded stays.
 fn encode(target: &str) -> String {
     let mut out = String::with_capacity(target.len());
     for byte in target.bytes() {

@@ -95,7 +95,7 @@ pub fn open_frames(frames: &Path) -> Result<Recorded, Failure> {
     Ok(Recorded::open(frames, None)?)
 }
 
-/// A recording that is played for ever in front of a line, for `bench`.
+/// A recording that is played in a loop in front of a line, for `bench`.
 pub fn open_endless(
     settings: &LineSettings,
     windows: &WindowSettings,

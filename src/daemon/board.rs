@@ -1,7 +1,7 @@
 //! The board's parts in the running daemon: what is driven, read and fed, and what fails.
 //!
 //! Owns how the line goes on when a part fails: it is asked less often, its failures are
-//! counted, and the first is said. Decides nothing about pictures; what to drive comes in
+//! counted, and the first is logged. Decides nothing about pictures; what to drive comes in
 //! as [`Actions`].
 
 use crate::derate::{Derating, Pace};
@@ -271,7 +271,7 @@ mod tests {
             assert!(driven.is_broken() && driven.last_fault().is_some());
             mocks[broken].broken.set(false);
             turns(&mut driven, 60..130);
-            assert!(!driven.is_broken() && driven.last_fault().is_none(), "mended");
+            assert!(!driven.is_broken() && driven.last_fault().is_none(), "works again");
         }
     }
 

@@ -8,7 +8,7 @@ use jiff::civil;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-/// The end of a certificate's validity, "not after"; `None` for what is no certificate.
+/// The end of a certificate's validity, "not after"; `None` for what is not a certificate.
 pub fn not_after(der: &[u8]) -> Option<UtcMs> {
     let (_, certificate, _) = element(der)?;
     let (_, mut rest, _) = element(certificate)?;

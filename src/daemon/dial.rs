@@ -100,7 +100,7 @@ pub fn is_timeout(error: &io::Error) -> bool {
 /// # Errors
 /// What the system says.
 pub fn set_timeouts(socket: &TcpStream, limit: Duration) -> io::Result<()> {
-    // Zero would mean for ever.
+    // Zero would mean no limit.
     let limit = Some(limit.max(Duration::from_millis(1)));
     socket.set_read_timeout(limit)?;
     socket.set_write_timeout(limit)

@@ -193,7 +193,7 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// No picture came, as against one that cannot be measured.
+    /// No picture came; one that cannot be measured is another failure.
     pub fn is_missing_picture(&self) -> bool {
         matches!(self, Self::Capture(fault) if !fault.is_damage())
     }

@@ -1,4 +1,4 @@
-//! Text from outside, as it may stand in a log, an error or a message.
+//! Text from outside, made fit for a log, an error or a message.
 //!
 //! Owns the two rules for it: at most [`MOST`] characters, and what controls a terminal is
 //! written out. What a camera or a broker says reaches both, and must neither fill them nor

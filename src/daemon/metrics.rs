@@ -50,7 +50,7 @@ impl Metrics {
         self.turn = Some(took);
     }
 
-    /// Writes the file. One that cannot be written is said once and stops nothing.
+    /// Writes the file. A failure is logged once and stops nothing.
     pub fn write(&mut self, health: &Health, alarms: &[Alarm], connected: bool) {
         match self.try_write(health, alarms, connected) {
             Ok(()) => self.failed = false,

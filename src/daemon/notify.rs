@@ -1,7 +1,7 @@
 //! Words to the service manager: ready, alive, reloading, stopping (`sd_notify(3)`).
 //!
 //! Owns the datagrams. Without `NOTIFY_SOCKET` all of it does nothing, so that the same
-//! program runs by hand. What is said never stops the measurement.
+//! program runs by hand. A failure here never stops the measurement.
 
 use super::clock;
 use std::ffi::OsStr;

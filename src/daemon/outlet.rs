@@ -26,7 +26,7 @@ pub struct Outlet {
 }
 
 impl Outlet {
-    /// Starts publishing; a broker that is away is no error.
+    /// Starts publishing; an absent broker is not an error.
     pub fn start(broker: MqttSettings, format: Format, identity: Identity, spool: Spool) -> Self {
         let mut publisher = Publisher::start(broker, format);
         publisher.locate(identity.located().cloned());
@@ -117,7 +117,7 @@ impl Outlet {
         self.publisher.is_open()
     }
 
-    /// For what is no window: health and alarms.
+    /// For messages other than windows: health and alarms.
     pub fn publisher(&self) -> &Publisher {
         &self.publisher
     }

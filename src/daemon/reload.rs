@@ -21,7 +21,7 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Loads what stands in the file, to take over from `running`.
+    /// Loads the file, to take over from `running`.
     ///
     /// # Errors
     /// [`Failure`] says what cannot be used, or cannot change while the daemon runs.

@@ -25,7 +25,7 @@ pub enum View {
     Unchanged,
     /// It is not measured, for this reason.
     Withheld(Alarm),
-    /// It is not measured: the scene stands elsewhere in this one, which is no move yet.
+    /// It is not measured: the scene stands elsewhere in this one, which is not yet a move.
     PassedOver,
 }
 

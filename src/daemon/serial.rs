@@ -139,7 +139,7 @@ pub struct SerialOutput {
 }
 
 impl SerialOutput {
-    /// Starts the thread that writes. A device that is away is no error: each window tries again.
+    /// Starts the thread that writes. An absent device is not an error: each window tries again.
     pub fn start(settings: SerialSettings) -> Self {
         let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING);
         let lost = Arc::new(AtomicU64::new(0));

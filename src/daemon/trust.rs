@@ -121,7 +121,7 @@ impl Verifier {
         let mut roots = RootCertStore::empty();
         match trust {
             Trust::Public => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
-            // What is no authority's counts as it stands.
+            // A certificate that is not an authority's is trusted as it is.
             Trust::Certificates(certificates) => {
                 roots.add_parsable_certificates(certificates.iter().cloned());
             }
@@ -251,7 +251,7 @@ fn broker_refusal(error: &Error, trust: &Trust, name: &ServerName<'_>) -> String
     let host = name.to_str();
     let kind = if matches!(name, ServerName::IpAddress(_)) { "IP" } else { "DNS" };
     let remedy = format!(
-        "make it anew with `openssl x509 -req ... -extfile <(echo subjectAltName={kind}:{host})`, or \
+        "make a new one with `openssl x509 -req ... -extfile <(echo subjectAltName={kind}:{host})`, or \
          name the certificate itself in mqtt.ca_file"
     );
     let Error::InvalidCertificate(wrong) = error else { return format!("TLS: {error}") };

@@ -1,6 +1,6 @@
-//! Cells: the equal pieces of a lane by which density is told along the road.
+//! Cells: equal pieces of a lane, each with a density of its own.
 //!
-//! Owns how a lane is divided and what is said of its pieces. A vehicle belongs to the cell
+//! Owns how a lane is divided and what is reported of its pieces. A vehicle belongs to the cell
 //! in which it meets the road (its ground contact point): at 10 m it covers half a cell or
 //! more, and what it covers of the next cell is not counted there.
 

@@ -1,4 +1,4 @@
-//! Writing a lane table; the format stands in [`super`].
+//! Writing a lane table; [`super`] has the format.
 
 use super::{
     CELL, CRC, DEFAULT_CELL_LENGTH_M, Description, HEADER, LENGTH, LaneErrors, LaneTable,
@@ -9,7 +9,7 @@ use crate::scene::Reference;
 
 /// Writes a lane table into `buffer` and returns how many bytes it takes.
 ///
-/// `cell(u, v)` gives what stands in column `u`, row `v`; `scene` is the reference of the
+/// `cell(u, v)` gives the cell in column `u`, row `v`; `scene` is the reference of the
 /// static scene, where there is one. Distances are rounded to the
 /// centimetre and spans to the millimetre; a span over 65 m is held there.
 ///
@@ -31,7 +31,7 @@ pub fn encode(
 ///
 /// # Errors
 /// As [`encode`], and [`LaneTableError::Value`] where there are not as many errors as lanes or
-/// one is no error.
+/// one is not an error.
 pub fn encode_with_errors(
     description: &Description,
     lane_errors: &[LaneErrors<'_>],

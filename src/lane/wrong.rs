@@ -71,18 +71,18 @@ impl fmt::Display for LaneTableError {
             Self::TooLong { needed, actual } => {
                 write!(f, "has {actual} bytes where {needed} belong: something was appended")
             }
-            Self::Magic => write!(f, "is no lane table (make one with `mvcalib table`)"),
+            Self::Magic => write!(f, "is not a lane table (make one with `mvcalib table`)"),
             Self::Version { found } => {
                 write!(
                     f,
-                    "has format version {found}, this program reads 1 to {VERSION}: make it anew"
+                    "has format version {found}, this program reads 1 to {VERSION}: make it again"
                 )
             }
             Self::Crc { stored, computed } => write!(
                 f,
                 "is damaged: checksum {computed:08x}, its trailer says {stored:08x}; copy it again"
             ),
-            Self::Description => write!(f, "has a description that does not decode: make it anew"),
+            Self::Description => write!(f, "has a description that does not decode: make it again"),
             Self::Value(what) => write!(f, "has an impossible value: {what}"),
             Self::CellLane { cell, lane } => {
                 write!(f, "puts cell {cell} into lane {lane}, which it does not describe")

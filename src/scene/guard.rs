@@ -67,7 +67,7 @@ impl Guard {
     }
 
     /// No preset is seen. Where two pictures some time apart show one scene all the same, the
-    /// camera looks elsewhere; where not even they agree, nothing can be told.
+    /// camera looks elsewhere; where not even they agree, nothing is known.
     fn elsewhere(
         &mut self,
         eye: &Eye<impl AsRef<[u8]>, impl AsRef<[Cell]>>,

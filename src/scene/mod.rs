@@ -1,7 +1,7 @@
 //! The static scene: whether the camera still looks where it was calibrated, to a part of a
 //! pixel.
 //!
-//! Owns the reference that stands in the lane table, the search for it in a picture, and the
+//! Owns the reference in the lane table, the search for it in a picture, and the
 //! rules by which the camera counts as moved. Reads no clock, allocates nothing. Both halves
 //! use it: `mvcalib table` makes the reference, the sensor compares each picture with it.
 

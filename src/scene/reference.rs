@@ -1,6 +1,6 @@
 //! The reference of the static scene: a few thousand edge points and which way they run.
 //!
-//! Owns the choice of points from a field and the bytes that stand in the lane table. Does
+//! Owns the choice of points from a field and its bytes in the lane table. Does
 //! not own the table (see [`crate::lane`]) nor the search (see `search.rs`).
 //!
 //! | offset | bytes | field |
@@ -73,7 +73,7 @@ pub struct Reference {
     pub coarse: Vec<Point, COARSE_POINTS>,
 }
 
-/// Why bytes are no reference, or a scene makes none.
+/// Why bytes are not a reference, or a scene yields none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReferenceError {
     /// Fewer or more bytes than the header asks for.
@@ -106,7 +106,7 @@ impl fmt::Display for ReferenceError {
             Self::Version(found) => write!(
                 f,
                 "the scene's reference has version {found}, this program reads {VERSION}: make \
-                 the table anew"
+                 the table again"
             ),
             Self::Value(what) => write!(f, "the scene's reference is wrong: {what}"),
             Self::Bare { points } => write!(

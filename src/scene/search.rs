@@ -1,4 +1,4 @@
-//! Where the static scene stands in a picture: shift, turn and zoom against the reference.
+//! Where the static scene lies in a picture: shift, turn and zoom against the reference.
 //!
 //! Owns the search and how sure it is. Does not own what follows from it (see `watch.rs`).
 //!

@@ -3,7 +3,7 @@
 //! Owns the tolerances and how many pictures a change of state takes. Reads no clock.
 //!
 //! A picture is one of four things: the scene stands in place at a preset, it stands
-//! displaced, another scene is seen, or nothing can be told. Only the first three are
+//! displaced, another scene is seen, or nothing is known. Only the first three are
 //! evidence; in fog or in the dark the state stays what it was. Evidence is taken at most
 //! each [`SPACING`], so that a gust does not pass for a move on a fast camera, and a change
 //! of state needs [`TO_MOVE`] of the last [`RECENT`] pieces of it.
@@ -28,7 +28,7 @@ pub const TO_MOVE: usize = 4;
 pub const TO_RETURN: usize = 3;
 /// Least time between two pieces of evidence.
 pub const SPACING: Duration = Duration::from_secs(5);
-/// Weight of a new shift in the resting shift, which stands in for a picture that cannot
+/// Weight of a new shift in the resting shift, which replaces that of a picture that cannot
 /// tell its own.
 const RESTING: f32 = 0.2;
 

@@ -1,4 +1,4 @@
-//! What the sensor is told, and what it asks for.
+//! Events that the sensor takes, and actions that it returns.
 //!
 //! Plain values; what they mean to windows and alarms is `sensor`'s, who performs them the
 //! daemon's.

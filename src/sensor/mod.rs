@@ -176,8 +176,8 @@ impl<const W: usize, P: AsRef<[Preset<W>]> + AsMut<[Preset<W>]>> Sensor<P, W> {
         Some(at)
     }
 
-    /// From `at` on these presets are measured. With another camera its health begins anew;
-    /// the alarms that are on are said again, for whoever listens may be another.
+    /// From `at` on these presets are measured. With another camera its health starts over;
+    /// active alarms are published again, because the subscriber may be new.
     pub fn replace(
         &mut self,
         at: UtcMs,

@@ -36,7 +36,8 @@ pub const BRIDGE_S: f32 = 2.5;
 /// Longest time for which a standing vehicle that is not seen stays, s: hidden in a queue, it waits
 /// for green.
 pub const HOLD_S: f32 = 30.0;
-/// Time after which it may count, s: what lasts for three of 25 pictures a second is no vehicle yet.
+/// Time after which it may count, s: what lasts for three of 25 pictures a second is not yet a
+/// vehicle.
 const CONFIRM_S: f32 = 0.3;
 /// Pictures in a row that may miss a vehicle that does not count yet.
 const YOUNG_MISSES: u16 = 1;

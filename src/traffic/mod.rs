@@ -100,7 +100,7 @@ impl<const W: usize> Windows<W> {
         }
     }
 
-    /// What is said of a lane, and its density by Edie's definition.
+    /// What is reported of a lane, and its density by Edie's definition.
     fn of(&self, sums: &Sums, length: Duration, lane: &LaneReport) -> Option<(LaneTraffic, f32)> {
         let by_pictures = lane.density_veh_km?;
         let (observed_s, length_m) = (sums.observed_s, lane.length_m);
@@ -112,7 +112,7 @@ impl<const W: usize> Windows<W> {
         }
         let area = length_m * observed_s;
         let by_edie = sums.time_s.max(0.0) / area * 1000.0;
-        // A site's factor is on the one and not on the other, and is no difference of theirs.
+        // A site's factor applies to one and not to the other; it is not a difference between them.
         let difference = if self.is_corrected { 0.0 } else { by_pictures - by_edie };
         let (part, beside) = DIFFERENCE;
         if difference.abs() > part * by_pictures.max(by_edie) + beside {

@@ -1,7 +1,8 @@
 //! What goes wrong with the camera at an instant: sway, a turn to another view, a stuck or
 //! black picture.
 //!
-//! Owns the camera that took a frame, as against the camera as installed. Owns no drawing.
+//! Owns the camera that took a frame, which may differ from the camera as installed. Owns no
+//! drawing.
 
 use nalgebra::{Rotation3, Vector3};
 

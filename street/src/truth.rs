@@ -2,7 +2,7 @@
 //!
 //! Owns the definitions:
 //! - `box`: smallest upright rectangle around the whole vehicle's outline, clipped by the
-//!   picture and not by what stands in front: what a perfect detector reports.
+//!   picture and not by what is in front: what a perfect detector reports.
 //! - `contact`: image of the centre of the footprint on the road; `near_contact`: image of the
 //!   middle of the footprint's end that is nearer to the camera.
 //! - `s_m`: distance of the footprint's centre along the lane from the near end of the measured

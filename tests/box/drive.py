@@ -23,7 +23,7 @@ from machine import BOX, ROOT, X86, Box, Failed, RaspberryPi
 DROPPED, DISCONNECT, FLAGGED = 0x00F0F040, 0x00F0F041, 0x00F0F042
 REQBUFS, QBUF, STREAMON, FATAL = 0x00F0F043, 0x00F0F044, 0x00F0F045, 0x00F0F046
 DRIVER = "/sys/bus/platform/drivers/vivid"
-# The bars: a fault is told within 20 s, and measured again 10 s after it is over.
+# The bars: a fault is reported within 20 s, and measured again 10 s after it is over.
 NOTICED_S, BACK_S = 20.0, 10.0
 # For what is not a bar: emulation beside other work.
 PATIENCE_S = 120.0
@@ -32,7 +32,7 @@ WARM_MIN, GROWTH_KB = 5, 1024
 # How long a picture of the recording stands (recording.toml, hardware-x86), and the time in which
 # a window of them must have come.
 PICTURE_S, RECORDING_MIN = 20, 6
-# The whole run, so that a box that hangs is told and not cut off.
+# The whole run, so that a box that hangs is reported and not cut off.
 LIMIT_S = 520
 
 
@@ -125,7 +125,7 @@ class Checks:
         return f"survived; {self.density(begun)}"
 
     def lasting(self, break_it, mend_it, meanwhile=None):
-        """A fault that lasts: it is told, and measured again after it is over."""
+        """A fault that lasts: it is reported, and measured again after it is over."""
         begun = time.monotonic()
         break_it()
         told, _ = self.broker.until("sensorFailure", status("sensorFailure"), NOTICED_S, begun)
@@ -212,7 +212,7 @@ class Checks:
         begun = time.monotonic()
         uptime, *before = self.machine.wait_for_boot()
         reset = time.monotonic() - begun
-        # WDIOF_CARDRESET, as against a kernel that has restarted itself.
+        # WDIOF_CARDRESET; a kernel that restarted itself does not set it.
         if before != ["32"]:
             raise Failed(f"booted again, but not by the watchdog: {before}")
         begun = time.monotonic()

@@ -83,7 +83,7 @@ fn users() -> u32 {
     count.ok().and_then(|count| count.trim().parse().ok()).unwrap_or(0)
 }
 
-/// Plays pictures for ever as a camera's MJPG: each stands for `milliseconds`, in which it is
+/// Plays pictures in a loop as a camera's MJPG: each stands for `milliseconds`, in which it is
 /// sent as often as a camera would. Who opens the camera finds a picture in the middle of its
 /// time, so that one who takes a picture in every `milliseconds` from then on takes each once,
 /// up to half of them early or late.

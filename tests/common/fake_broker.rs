@@ -1,4 +1,4 @@
-//! A broker that misbehaves as it is told: it speaks enough of MQTT 3.1.1 and 5 to a client that
+//! A broker that misbehaves on request: it speaks enough of MQTT 3.1.1 and 5 to a client that
 //! publishes, and notes what came.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
@@ -79,7 +79,7 @@ impl FakeBroker {
         Self { port, manners, seen, open }
     }
 
-    /// From the next packet on it behaves thus.
+    /// Changes its manners from the next packet on.
     pub fn change(&self, manners: Manners) {
         *self.manners.lock().expect("unpoisoned") = manners;
     }

@@ -1,4 +1,4 @@
-//! A camera on a port of this machine that gives the answer it is told to.
+//! A camera on a port of this machine that gives a prescribed answer.
 
 use super::common;
 use std::io::{Read, Write};

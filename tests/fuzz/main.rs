@@ -3,7 +3,7 @@
 //!
 //! As a test each target does a short run, always the same. A long one:
 //! `VERGE_FUZZ_EXECUTIONS=1000000 VERGE_FUZZ_SEED=7 cargo test --test fuzz -- --nocapture`,
-//! with a target's name behind `fuzz` for that one alone. What has been run stands in
+//! with a target's name behind `fuzz` for that one alone. What has been run:
 //! `docs/measured/fuzzing.md`.
 //!
 //! Targets: `pictures`, `large_pictures`, `http_answers`, `streams`, `descriptions`, `packets`,

@@ -35,7 +35,7 @@ pub struct Target<'a> {
 }
 
 impl Target<'_> {
-    /// Runs `execute` on mutated inputs. It gets the generator too, to mend checksums now
+    /// Runs `execute` on mutated inputs. It gets the generator too, to correct checksums now
     /// and then, and returns what became of the input.
     ///
     /// Panics, with the path of the failing input, where an input makes `execute` panic or

@@ -1,6 +1,6 @@
 //! Tables of comma-separated values: columns by name, errors by line and column.
 //!
-//! Fields may stand in double quotes; a quoted field ends on its line.
+//! Fields may be in double quotes; a quoted field ends on its line.
 
 use crate::gzip::read_text;
 use std::path::{Path, PathBuf};
@@ -146,7 +146,7 @@ impl Row<'_> {
             Ok(value) if value.is_infinite() => Err(wrong("is infinite; give a finite number")),
             Ok(value) if value < 0.0 => Err(wrong("is negative; give a number from 0")),
             Ok(value) => Ok(value),
-            Err(_) => Err(wrong("is no number; give one with a decimal point")),
+            Err(_) => Err(wrong("is not a number; give one with a decimal point")),
         }
     }
 

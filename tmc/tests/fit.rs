@@ -1,4 +1,4 @@
-//! `verge-tmc fit` and `points`: known parameters come back, SciPy agrees, bad input is said.
+//! `verge-tmc fit` and `points`: known parameters come back, SciPy agrees, bad input is reported.
 
 mod common;
 
@@ -268,7 +268,7 @@ fn bad_points_are_said_with_line_and_column() {
             "line 3: column density_veh_km: \"NaN\" is not",
         ),
         (format!("{head}1,-5\n"), "newell", "line 2: column speed_kmh: \"-5\" is negative"),
-        (format!("{head}1,fast\n"), "newell", "line 2: column speed_kmh: \"fast\" is no number"),
+        (format!("{head}1,fast\n"), "newell", "line 2: column speed_kmh: \"fast\" is not a number"),
         (format!("{head}1,inf\n"), "newell", "\"inf\" is infinite"),
         (format!("{head}1\n"), "newell", "line 2: has 1 columns, the header has 2"),
         (format!("{head}1,50\n2,40\n3,30\n"), "newell", "has 3 points; newell needs at least 4"),

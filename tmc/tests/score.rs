@@ -104,8 +104,8 @@ fn bad_input_is_said() {
     let truth = write(folder.path(), "truth.csv", TRUTH);
     let head = "from,lane,density_veh_km\n";
     for (content, said) in [
-        (format!("{head}08:00,1,2\n"), "line 2: column from: \"08:00\" is no time"),
-        (format!("{head}2026-01-05T08:00:00Z,left,2\n"), "column lane: \"left\" is no lane"),
+        (format!("{head}08:00,1,2\n"), "line 2: column from: \"08:00\" is not a time"),
+        (format!("{head}2026-01-05T08:00:00Z,left,2\n"), "column lane: \"left\" is not a lane"),
         (format!("{head}2026-01-05T08:00:00Z,1,-2\n"), "\"-2\" is negative"),
         (format!("{head}{0}{0}", "2026-01-05T08:00:00Z,1,2\n"), "line 3"),
         (format!("{head}2020-01-05T08:00:00Z,1,2\n"), "no window and lane in common"),

@@ -1,6 +1,6 @@
 //! What any estimator can reach on a made scene: an oracle, and the Cramer-Rao bound.
 //!
-//! The oracle is told what no calibration knows: each vehicle's model (known cars) or the
+//! The oracle knows what no calibration does: each vehicle's model (known cars) or the
 //! model it is like and how such cars scatter (other cars), the label noise and the road's
 //! heading; it starts at the truth. The bound is the error of cameras drawn from the normal
 //! distribution that the Jacobian of the same problem gives at the truth.

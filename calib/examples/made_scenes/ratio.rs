@@ -1,7 +1,7 @@
 //! How joint's median error compares with the best of several methods on the same scenes.
 //!
 //! Owns the ratio of medians and its bootstrap interval. The scenes are drawn again together
-//! with all their errors (paired), and the best method is chosen anew in each draw: who is
+//! with all their errors (paired), and the best method is chosen again in each draw: who is
 //! best is itself uncertain.
 
 use rand::{RngExt, SeedableRng};

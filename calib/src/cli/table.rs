@@ -27,7 +27,8 @@ pub struct Arguments {
     /// The lane table to write.
     #[arg(long)]
     out: PathBuf,
-    /// About how long the cells are by which density is told along a lane, m, from 2 to 100.
+    /// Approximate length of the cells along a lane, each of which has its density, m, from 2 to
+    /// 100.
     #[arg(long, value_name = "M", default_value_t = DEFAULT_CELL_LENGTH_M, value_parser = cell_length)]
     cell_length: f32,
     /// Frames of the camera by which it is later noticed when it has moved. The first by name

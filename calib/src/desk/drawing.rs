@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 pub const FORMAT: &str = "verge-desk";
 /// The version that is written, and the newest that is read.
 pub const VERSION: u32 = 1;
-/// Most shapes of one kind, and most points of a shape: more is no drawing by hand.
+/// Most shapes of one kind, and most points of a shape: nobody draws more by hand.
 const MOST: usize = 400;
 
 /// A point of the picture, px.

@@ -1,7 +1,7 @@
 //! A drawing measured: the camera, how well it is known, and what is wrong with the lanes.
 //!
 //! Owns how the answer to each click comes about (its values are `answer`'s). Does not own the fit nor the verdicts
-//! (see `road`, `trust`); whatever they refuse stands in the answer with their own words.
+//! (see `road`, `trust`); the answer has whatever they refuse, in their own words.
 
 use super::answer::{
     CameraLook, ErrorLook, LaneLook, LaneMeasured, LengthLook, Look, StripLook, TrafficLook,

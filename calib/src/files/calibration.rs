@@ -1,8 +1,8 @@
 //! The calibration file: what a calibration gave, how it was made, how far to trust it.
 //!
 //! Owns the JSON format `verge-calibration`, versions 1 and 2; 2 where the road has a crest,
-//! which programs that know version 1 alone would leave out without a word. Does not own the verdict's rules
-//! (see `trust`) nor any solver.
+//! which programs that know version 1 alone would silently leave out. Does not own the verdict's
+//! rules (see `trust`) nor any solver.
 //!
 //! | field | unit | meaning |
 //! |---|---|---|
@@ -194,7 +194,7 @@ impl Calibration {
         }
     }
 
-    /// Reads a calibration file. `image_size` (px) stands in where the file has none.
+    /// Reads a calibration file. `image_size` (px) is used where the file has none.
     pub fn read(path: &Path, image_size: Option<[u32; 2]>) -> Result<Self> {
         let text = verge_desk::read_text(path)?;
         let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };

@@ -164,7 +164,7 @@ fn fractions(line: &[Vector2<f64>]) -> Vec<f64> {
     all.iter().map(|s| s / sum.max(f64::MIN_POSITIVE) - 0.5).collect()
 }
 
-/// Distance of a point from a polyline; its first and last edge go on for ever, so that
+/// Distance of a point from a polyline; its first and last edge extend without end, so that
 /// lines traced over different stretches compare too.
 fn distance(p: &Vector2<f64>, line: &[Vector2<f64>]) -> f64 {
     let last = line.len().saturating_sub(2);

@@ -31,7 +31,7 @@ use scene::{CameraState, CameraStep, FLEET_AT};
 use solver::{CameraInformation, CameraPrior, Estimate};
 use uncertainty::CameraCovariance;
 
-/// What the joint method can be told.
+/// Options of the joint method.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// A further focal length to start from, px.

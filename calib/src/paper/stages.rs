@@ -10,7 +10,7 @@ use crate::paper::loss::{Form, Weights, pack};
 use crate::paper::model_matching::{self, Bounds, Matched, Search};
 use crate::problem::{FocalPrior, Problem};
 
-/// Everything that MVCalib can be told.
+/// Options of MVCalib.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
     /// What is assumed about the focal length.

@@ -74,7 +74,7 @@ pub fn on_road(outline: Outline, camera: &Camera) -> Result<DrawnLane> {
 ///
 /// `sha256` is the hash of the calibration file, `fallback_id` names the camera where the
 /// calibration does not, `scene` is the reference by which a moved camera is noticed,
-/// `cell_length_m` is about how long the cells are by which density is told along a lane.
+/// `cell_length_m` is the approximate length of the cells along a lane.
 pub fn table(
     calibration: &Calibration,
     lanes: &[DrawnLane],
@@ -160,7 +160,7 @@ fn bounds(polygon: &[Vector2<f64>]) -> [[f64; 2]; 2] {
     })
 }
 
-/// What stands in every cell, in row order.
+/// The content of every cell, in row order.
 fn cells(camera: &Camera, lanes: &[DrawnLane]) -> Result<Vec<Option<Place>>> {
     let [width, height] = camera.image_size.map(|px| px as usize);
     type Row = (Vec<Option<Place>>, Vec<(usize, usize)>);

@@ -155,7 +155,7 @@ mod tests {
         let gate = Gate::new(&parts, &(0..2), 0.5);
         assert!(gate.passes(&[0.0, 9.0, 9.0, 9.0]));
         assert!(!gate.passes(&[-0.1, 9.0, 9.0, 9.0]));
-        assert!(gate.passes(&[f32::NAN, 9.0, 9.0, 9.0]), "what is no number must show");
+        assert!(gate.passes(&[f32::NAN, 9.0, 9.0, 9.0]), "NaN must show");
     }
 
     #[test]

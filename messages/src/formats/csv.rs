@@ -4,7 +4,7 @@
 use crate::{Density, Lane, Passed, Traffic, rounded};
 use std::borrow::Cow;
 
-/// The first line: units stand in the last word of a name.
+/// The first line: the last word of a name is its unit.
 pub const HEADER: &str = "site,window_s,seq,from,to,clock_synced,lane,direction,density_veh_km,\
 density_se_veh_km,vehicles_mean,vehicle,car,van,bus,truck,motorcycle,space_occupancy,length_m,\
 frames_used,frames_expected,status,calibration,calibration_rel_err,model,cell_length_m,\

@@ -3,7 +3,7 @@
 //!
 //! Owns names, order and units of the elements, from the v3.5 schema. A lane is one
 //! indexed physical quantity (index: the lane's number; 10 and 20 more for flow and speed). `densityOfVehicles` is a whole
-//! number and required where `density` stands, so that a missing density is told by a
+//! number and required where `density` stands, so that a missing density becomes a
 //! `physicalQuantityFault` without values, never by 0.
 
 use crate::{Density, Lane, Status, Utc};

@@ -1,7 +1,7 @@
 //! Density messages in the formats that traffic centres exchange.
 //!
 //! Owns the mapping from a [`Density`] to each format. Pure functions: no file, no clock, no
-//! connection. What each field means, and what a format cannot say, stands in
+//! connection. What each field means, and what a format cannot express:
 //! `docs/reference/formats.md`.
 
 mod csv;

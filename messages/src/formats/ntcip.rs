@@ -2,7 +2,7 @@
 //!
 //! Owns the numbers of the standard, not its protocol: names and values are those of a row
 //! of `dataCollectionTable`, for an SNMP agent to serve. A lane is a sample zone. Density
-//! is no object of the standard and is added. What is not known is 65535.
+//! is not an object of the standard and is added. What is not known is 65535.
 
 use crate::{Density, Lane, Passed, Utc};
 use serde::Serialize;

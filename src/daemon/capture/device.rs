@@ -44,7 +44,7 @@ pub enum DeviceError {
         /// What the system says.
         reason: String,
     },
-    /// It opens, but is no camera.
+    /// It opens, but is not a camera.
     #[error("{}: not a camera that streams ({card}); is it the right node?", path.display())]
     NotACamera {
         /// The device.

@@ -101,7 +101,7 @@ impl CaptureError {
 /// Which camera is asked for pictures, and how.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceSettings {
-    /// A folder of pictures that is played for ever, one each `interval`.
+    /// A folder of pictures that is played in a loop, one each `interval`.
     Recorded {
         /// The folder.
         folder: PathBuf,
@@ -114,7 +114,7 @@ pub enum SourceSettings {
     Device(DeviceSettings),
 }
 
-/// Why a source cannot be set up. A camera that is away is no such reason.
+/// Why a source cannot be set up. An absent camera is not such a reason.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
     /// The recording.

@@ -55,7 +55,7 @@ pub struct FrameTime {
 }
 
 impl FrameTime {
-    /// Frames per second; `None` for a fraction that is no time.
+    /// Frames per second; `None` for a fraction that is not a time.
     pub fn rate_hz(self) -> Option<f64> {
         let whole = self.numerator > 0 && self.denominator > 0;
         whole.then(|| f64::from(self.denominator) / f64::from(self.numerator))

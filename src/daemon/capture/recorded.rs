@@ -2,7 +2,7 @@
 //!
 //! Owns which files belong to a recording and when each was taken. A file that is not of the
 //! recording changes no other file's time: where names tell the times, one whose name does not
-//! is left out, with a word.
+//! is left out, and logged.
 
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
@@ -21,7 +21,7 @@ pub const DEFAULT_INTERVAL: Duration = Duration::from_secs(120);
 
 /// Deepest folder that is looked into: year, month, day, hour, minute and one more.
 const MAX_DEPTH: usize = 6;
-/// Files in a hundred, and at least how many, that may be strays.
+/// Percentage of files, and at least how many, that may be strays.
 const MOST_STRAYS: (usize, usize) = (10, 2);
 
 /// Why a folder is not a recording.

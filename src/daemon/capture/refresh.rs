@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 /// Changes between which the period is taken: the median of as many gaps passes over a picture
 /// that was missed.
 const CHANGES: usize = 5;
-/// Changes after which it is said.
+/// Changes after which it is reported.
 const ENOUGH: usize = 3;
 
 /// The latest changes of a camera's picture.

@@ -1,7 +1,7 @@
 //! Cameras on V4L2: the only file that names the crate `v4l`.
 //!
 //! Owns opening (format, size and rate by [`negotiate`]), the stream of memory-mapped
-//! buffers, and its end. A stream is never mended: on any error it is dropped, and a new one
+//! buffers, and its end. A stream is never repaired: on any error it is dropped, and a new one
 //! is opened from the device's path, so that a camera may come back under another number. A
 //! stream that has run is opened again at once: most faults are over by then, and no picture
 //! is lost. After that the waits grow.
@@ -9,7 +9,7 @@
 //! Three habits of the crate are met here. It panics where a driver answers with something
 //! that it does not know, and when a stream cannot be stopped: every call is made behind
 //! [`guarded`]. After a failed `next` it would queue a buffer that the kernel owns: hence
-//! "never mended". `S_FMT` changes what it cannot do: the answer is compared.
+//! "never repaired". `S_FMT` changes what it cannot do: the answer is compared.
 
 use super::backoff::{Backoff, LONGEST_AT_THE_BOX};
 use super::device::{DeviceError, DeviceSettings};

@@ -112,7 +112,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A recording that is played for ever through the line, with a watch at its side.
+/// A recording that is played in a loop through the line, with a watch at its side.
 struct Bench {
     station: Station,
     windows: Windows<Vec<Preset>>,

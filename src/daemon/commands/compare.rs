@@ -61,7 +61,7 @@ impl Reference {
         if let Some(mut errors) = self.child.stderr.take() {
             let _ = std::io::Read::read_to_string(&mut errors, &mut said);
         }
-        missing(said.trim().lines().last().unwrap_or("it ended without a word"))
+        missing(said.trim().lines().last().unwrap_or("it ended without a message"))
     }
 
     fn answer(&mut self) -> Result<String, Failure> {

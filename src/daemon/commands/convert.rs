@@ -49,7 +49,7 @@ impl From<Target> for Format {
     }
 }
 
-/// How messages stand in the input.
+/// How messages are encoded in the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 enum Form {
     /// JSON objects: one a line, with the topic in front (`mosquitto_sub -v`) or without, in
@@ -66,7 +66,7 @@ pub struct Args {
     /// The format to write
     #[arg(long, value_enum)]
     to: Target,
-    /// How messages stand in the input
+    /// How messages are encoded in the input
     #[arg(long, value_enum, default_value_t)]
     from: Form,
     /// The messages [default: standard input]
@@ -100,7 +100,7 @@ fn urn(text: &str) -> Result<String, String> {
     }
 }
 
-/// Converts every message that can be read. One that cannot is said with its line, the
+/// Converts every message that can be read. One that cannot is reported with its line, the
 /// others are converted, and the program ends with 65.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let publisher =

@@ -16,7 +16,7 @@ const ANSWER_LIMIT: Duration = Duration::from_secs(2);
 /// Its arguments.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The serial line that the node hangs on
+    /// The serial line to which the node is connected
     #[arg(long, value_name = "PATH")]
     device: PathBuf,
     /// Bits per second

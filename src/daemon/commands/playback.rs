@@ -1,6 +1,6 @@
 //! A recording from its first frame to its last, through a line or a detector.
 //!
-//! Owns what happens to frames that cannot be used: they are said, counted as missed, and
+//! Owns what happens to frames that cannot be used: they are logged, counted as missed, and
 //! only a recording of which nothing could be used is an error.
 
 use crate::daemon::capture::{Captured, Recorded, Source};
@@ -19,7 +19,7 @@ pub enum Played<'a> {
 }
 
 /// Plays a recording through a line: each frame that was measured, and the windows as
-/// they close. Frames that cannot be measured are said and count as missed.
+/// they close. Frames that cannot be measured are logged and count as missed.
 pub fn play(
     recorded: Recorded,
     line: &mut Line,
@@ -58,7 +58,7 @@ pub fn play(
     written
 }
 
-/// Searches a recording for vehicles. Frames that cannot be searched are said.
+/// Searches a recording for vehicles. Frames that cannot be searched are logged.
 pub fn search(
     recorded: Recorded,
     mut detect: impl FnMut(&Picture, &mut Vec<Detection>) -> Result<(), Failure>,
@@ -104,7 +104,7 @@ struct Player {
     frames: usize,
     measured: usize,
     first_fault: Option<String>,
-    /// What was said of the frames last.
+    /// What was logged of the frames last.
     said: Option<&'static str>,
 }
 

@@ -1,4 +1,4 @@
-//! `verge run`: measures and publishes until it is told to stop.
+//! `verge run`: measures and publishes until it is stopped.
 //!
 //! Owns the loop and the signals; what a turn does is `running`'s.
 

@@ -1,6 +1,6 @@
-//! Files with secrets: who may read them, and what stands in them.
+//! Files with secrets: who may read them, and what is in them.
 //!
-//! Owns the rule: a secret is its owner's, or stands in a folder of credentials that systemd,
+//! Owns the rule: a secret is its owner's, or lies in a folder of credentials that systemd,
 //! Docker or Kubernetes has made for the service.
 
 use super::ConfigError;
@@ -69,7 +69,7 @@ fn judge(mode: u32, is_credential: bool) -> Result<(), String> {
     }
 }
 
-/// Whether a file stands in a folder of credentials, links followed.
+/// Whether a file lies in a folder of credentials, links followed.
 fn is_credential(path: &Path, given: Option<std::ffi::OsString>) -> bool {
     let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let path = real(path);

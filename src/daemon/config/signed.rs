@@ -59,7 +59,7 @@ impl Trusted {
             ))
         })?;
         let signature = Signature::decode(signature.trim_end())
-            .map_err(|error| wrong(format!("{} is no signature: {error}", beside.display())))?;
+            .map_err(|error| wrong(format!("{} is not a signature: {error}", beside.display())))?;
         // Not the old form, which holds the whole file in memory.
         self.key.verify(bytes, &signature, false).map_err(|error| {
             wrong(format!(

@@ -83,7 +83,7 @@ impl Head {
         if outputs != expected || rows == 0 { Err(expected) } else { Ok(head) }
     }
 
-    /// Whether boxes are told by the cell that gives them.
+    /// Whether a box is identified by the cell that yields it.
     fn has_grid(&self) -> bool {
         matches!(self.kind, HeadKind::NanodetPlus | HeadKind::Picodet | HeadKind::Yolox)
     }

@@ -93,7 +93,7 @@ pub struct Sidecar {
     pub licence: String,
     /// How it is fed.
     pub input: Input,
-    /// How its output is read: a word, or a table where more is to be said. Without it the shape
+    /// How its output is read: a word, or a table for further settings. Without it the shape
     /// of the output decides.
     #[serde(default)]
     pub head: Option<HeadKey>,

@@ -153,8 +153,8 @@ fn device_id(site: &str) -> String {
     format!("verge_{plain}_{tail}")
 }
 
-/// The topics on which Home Assistant was told of something, over restarts: what is given up later
-/// must be taken back.
+/// The topics on which something was announced to Home Assistant, over restarts: what is given up
+/// later must be taken back.
 #[derive(Debug)]
 pub struct Announced {
     file: PathBuf,

@@ -27,7 +27,7 @@ const DRAIN: Duration = Duration::from_secs(3);
 /// Most live windows that wait for their acknowledgement; what comes on top of them goes
 /// the way of an outage.
 const MAX_LIVE: usize = 64;
-/// Of a message that is no window of the spool.
+/// Of a message that is not a window of the spool.
 const NO_KEY: u64 = u64::MAX;
 /// Most windows of an outage that wait for theirs.
 const MAX_ARREARS: usize = 32;
@@ -126,7 +126,7 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Starts the connection, in a thread of its own; a broker that is away is no error.
+    /// Starts the connection, in a thread of its own; an absent broker is not an error.
     pub fn start(settings: MqttSettings, format: Format) -> Self {
         Self {
             root: settings.root.clone(),

@@ -1,6 +1,6 @@
 //! What the sensor's actions become: messages, metrics and lines of the log.
 //!
-//! Owns the outlet, and what is said of faults. Decides nothing.
+//! Owns the outlet, and how faults are reported. Decides nothing.
 
 use super::report;
 use crate::alarm::Alarm;
@@ -27,16 +27,16 @@ pub struct Hands {
     pub(super) outlet: Outlet,
     pub(super) metrics: Option<Metrics>,
     announcements: Vec<Announcement>,
-    /// What Home Assistant was told of, in earlier runs too.
+    /// What was announced to Home Assistant, in earlier runs too.
     known: Announced,
-    /// The session that was told what there is.
+    /// The session in which it was announced.
     announced: Option<u64>,
     /// The latest fault, until a picture is measured.
     last_fault: Option<String>,
     /// Why the latest new configuration was refused.
     refused: Option<String>,
     health_due: bool,
-    /// Whether a certificate ends soon, as it was told.
+    /// Whether a certificate ends soon, as last reported.
     expiry_told: Option<bool>,
     /// Length of the shortest windows, and the largest difference of densities in the latest.
     difference: Option<(Duration, Option<f32>)>,
@@ -128,7 +128,7 @@ impl Hands {
     }
 
     /// Says a fault when it is another than the last: once, not with every frame. A fault of
-    /// the program is said each time.
+    /// the program is logged each time.
     pub fn note_fault(&mut self, fault: &Failure) {
         if matches!(fault, Failure::Stage(_)) {
             log::error!("{fault}");
@@ -201,7 +201,7 @@ impl Hands {
         }
     }
 
-    /// What is said follows another configuration.
+    /// Announcements follow another configuration.
     pub fn change(&mut self, before: &Config, config: &Config, line: &Line) {
         if before.metrics.file != config.metrics.file {
             self.metrics = config.metrics.file.as_deref().map(Metrics::new);

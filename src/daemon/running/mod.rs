@@ -50,7 +50,7 @@ pub enum Publishing {
     Turning,
     /// It has not turned for so long that the watchdog gets no food.
     Stalled,
-    /// It has ended, or will not turn again: the process ends, and is started anew.
+    /// It has ended, or will not turn again: the process ends, and is restarted.
     Lost,
 }
 

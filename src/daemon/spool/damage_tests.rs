@@ -148,7 +148,7 @@ fn numbers_that_went_out_from_memory_are_not_used_again() {
         spool.acknowledge(key);
     }
     assert_eq!(spool.counts().waiting, 1, "delivered from memory");
-    // Killed: nothing is said on the way out.
+    // Killed: no destructor runs.
     drop(spool);
     assert_eq!(next_seq(&folder), 9);
 }
@@ -166,7 +166,7 @@ fn what_is_none_of_ours_neither_hangs_nor_fills_the_memory() {
     let sparse = File::create(path(52)).expect("a file");
     sparse.set_len(4 << 30).expect("sparse");
     let mut spool = open(&folder);
-    assert_eq!(spool.counts().damaged, 3, "each is told");
+    assert_eq!(spool.counts().damaged, 3, "each is counted");
     assert_eq!(arrears(&mut spool), [(60, 1)]);
     assert!(path(50).is_symlink() && path(52).exists(), "and left alone");
     std::fs::create_dir(folder.path().join("other")).expect("a folder");

@@ -170,7 +170,7 @@ pub struct Spool {
     /// The numbers' second place; `None` while it cannot be had.
     numbers: Option<Numbers>,
     counts: SpoolCounts,
-    /// Whether the disk's refusal to be read was said.
+    /// Whether a failed read of the disk was logged.
     unreadable_said: bool,
     /// Held for the life of the spool.
     lock: Option<File>,
@@ -257,7 +257,7 @@ impl Spool {
         self.entries.iter_mut().for_each(|entry| entry.given = Given::No);
     }
 
-    /// Notes that a window that was just accepted is being sent: it is no arrear.
+    /// Notes that a window that was just accepted is being sent: it is not backlog.
     pub fn give(&mut self, key: u64) {
         if let Some(index) = self.find(key) {
             self.entries[index].given = Given::Yes;

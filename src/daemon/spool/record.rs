@@ -1,4 +1,4 @@
-//! The format of a segment: what stands in the spool's files, byte by byte.
+//! The format of a segment: the spool's files, byte by byte.
 //!
 //! Owns writing and scanning bytes; files are `segment`'s.
 //!

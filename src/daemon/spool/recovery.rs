@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 #[derive(Default)]
 struct Newest {
     scan: Scan,
-    /// Where the last good window of each length stands in it.
+    /// Position of the last good window of each length in it.
     last: BTreeMap<u32, usize>,
     torn: bool,
 }

@@ -216,7 +216,7 @@ impl Bench {
         windows
     }
 
-    /// What was said besides health, with the second.
+    /// What was published besides health, with the second.
     fn alarms(&self) -> Vec<(u64, &str)> {
         let is_alarm = |text: &str| text.starts_with(['+', '-']);
         self.said.iter().map(|(at, text)| (*at, text.as_str())).filter(|s| is_alarm(s.1)).collect()
@@ -232,7 +232,7 @@ fn are_seamless(windows: &[Window]) -> bool {
 fn every_alarm_is_raised_told_and_cleared() {
     let moved = Gives(Outcome::Withheld(Alarm::CameraMoved));
     let blind = |alarm| [Pass(60, Gives(Outcome::Withheld(alarm))), Pass(30, ROAD)];
-    // Alarm, what raises and clears it, when it is said.
+    // Alarm, what raises and clears it, when it is published.
     let rows: [(Alarm, [Step; 2], [u64; 2]); 6] = [
         (Alarm::NoPicture, [Pass(60, Gives(Outcome::Missing)), Pass(30, ROAD)], [16, 60]),
         (Alarm::FrozenPicture, [Pass(60, Gives(Outcome::Unchanged)), Pass(30, ROAD)], [21, 60]),
@@ -325,7 +325,7 @@ fn a_line_whose_stages_break_too_often_is_given_up() {
     let slow = [broken, ROAD, ROAD].map(|camera| Pass(5, camera));
     let mut bench = Bench::new(&["first"]);
     (0..100).for_each(|_| slow.iter().for_each(|step| bench.step(step)));
-    assert!(!bench.gave_up, "one in 15 s, for ever");
+    assert!(!bench.gave_up, "one in 15 s, indefinitely");
 }
 
 #[test]

@@ -364,7 +364,7 @@ fn apply(table: &mut toml::Table, change: &str) -> std::result::Result<(), Strin
             return Ok(());
         }
         let inner = at.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
-        at = inner.as_table_mut().ok_or_else(|| format!("--set {change}: {key} is no table"))?;
+        at = inner.as_table_mut().ok_or_else(|| format!("--set {change}: {key} is not a table"))?;
     }
     Err(format!("--set {change}: write table.key=value"))
 }

@@ -15,10 +15,10 @@ const KEPT_BYTES: usize = 16 << 10;
 const MOST_SITES: usize = 1000;
 /// Bytes of the folder; beyond it messages are counted and not kept.
 const MOST_BYTES: u64 = 256 << 20;
-/// Longest reason that is told, characters: a part of it is the sender's.
+/// Longest reason that is logged, characters: a part of it is the sender's.
 const LONGEST_REASON: usize = 300;
 
-/// What was refused of a site since it was told last.
+/// What was refused of a site since it was last logged.
 #[derive(Debug, Default)]
 struct Refused {
     count: u64,
@@ -165,7 +165,7 @@ mod tests {
             aside.refuse("evil", "has \u{1b}[31m\nfor a name", &[b'x'; 1 << 20]);
         }
         for site in 0..2000 {
-            aside.refuse(&site.to_string(), "is no message", b"{}");
+            aside.refuse(&site.to_string(), "is not a message", b"{}");
         }
         let lines = aside.tell().unwrap();
         assert_eq!(lines.len(), MOST_SITES + 1);

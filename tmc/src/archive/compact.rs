@@ -36,7 +36,7 @@ pub struct Done {
     pub rejected: usize,
     /// Gaps in the numbers of messages that remain in the days that were touched.
     pub gaps: Vec<Gap>,
-    /// What is to be said of it.
+    /// What is to be logged of it.
     pub told: Vec<String>,
     /// The days that were touched.
     days: Vec<Partition>,

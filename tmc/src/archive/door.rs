@@ -20,7 +20,7 @@ use verge_messages::{Kind, Topic, Utc};
 const AHEAD: Duration = Duration::from_secs(600);
 /// A window that ended longer ago is not urgent.
 const URGENT: Duration = Duration::from_secs(2 * 86_400);
-/// Rows that a site may send for ever: eight lanes of 32 cells each 10 s are 26 a second.
+/// Rows that a site may send at a steady rate: eight lanes of 32 cells each 10 s are 26 a second.
 const ROWS_PER_S: f64 = 200.0;
 /// Rows on top of that: what a box with four lanes of 12 cells and minutes has in two days.
 const BURST_ROWS: f64 = 150_000.0;

@@ -3,7 +3,7 @@
 //! Owns what "the same window" means, and the merge: the old file is read twice and written
 //! anew, some rows at a time, so that memory does not grow with the day. The first window of a
 //! beginning and length counts. The same again is a duplicate; another one is a conflict, which
-//! is kept aside and told. A file that cannot be read is set aside, and its day begins anew.
+//! is set aside and reported. An unreadable file is set aside, and its day starts over.
 
 use super::aside;
 use super::gaps::{Edges, Gap, Track};
@@ -13,7 +13,7 @@ use std::collections::btree_map::{BTreeMap, Entry};
 use std::path::{Path, PathBuf};
 use verge_desk::Failure;
 
-/// Lengths of windows in one day: a box has six at most, and may be configured anew.
+/// Lengths of windows in one day: a box has six at most, and may be configured again.
 const MOST_LENGTHS: usize = 12;
 /// Windows in one day: six lengths from 10 s on make 17,664.
 const MOST_WINDOWS: usize = 20_000;

@@ -63,7 +63,7 @@ fn listed(points: &[[f64; 2]]) -> String {
     points.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ")
 }
 
-/// Text as it may stand in SVG and HTML.
+/// Text escaped for SVG and HTML.
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for part in text.chars() {

@@ -44,8 +44,9 @@ pub(super) fn read(path: &Path) -> Result<Readings, Failure> {
             }
             let number = || {
                 let value = content.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
-                value
-                    .ok_or_else(|| wrong(rest, format!("<{name}> {content:?} is no number from 0")))
+                value.ok_or_else(|| {
+                    wrong(rest, format!("<{name}> {content:?} is not a number from 0"))
+                })
             };
             match name {
                 "detector_id" => content.clone_into(&mut detector),
@@ -109,7 +110,7 @@ mod tests {
     fn damage_is_said() {
         for (text, said) in [
             (format!("<l>\n{LANE}"), "ends inside <l>"),
-            ("<l><speed>fast</speed></l>".to_owned(), "<speed> \"fast\" is no number"),
+            ("<l><speed>fast</speed></l>".to_owned(), "<speed> \"fast\" is not a number"),
             ("<l>\n</m>".to_owned(), "line 2: </m> closes"),
             ("<l><spe".to_owned(), "breaks off inside a tag"),
             ("<l></l>".to_owned(), "has no <lane>"),

@@ -60,7 +60,7 @@ fn matrix(path: &Path) -> Result<Vec<Vec<f64>>, Failure> {
         let mut row = Vec::new();
         for (column, field) in line.split_whitespace().enumerate() {
             let value = field.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
-            let reason = format!("column {}: {field:?} is no number from 0", column + 1);
+            let reason = format!("column {}: {field:?} is not a number from 0", column + 1);
             row.push(value.ok_or_else(|| Failure::content(path, index + 1, reason))?);
         }
         if rows.first().is_some_and(|first| first.len() != row.len()) {

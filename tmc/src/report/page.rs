@@ -111,7 +111,7 @@ fn tables(summary: &Summary) -> Vec<File> {
     files
 }
 
-/// What is told by position along the lanes.
+/// Density by position along the lanes.
 fn tables_along(summary: &Summary) -> Vec<File> {
     let lanes = summary.lanes_along();
     if lanes.is_empty() {

@@ -106,10 +106,10 @@ fn csv(path: &Path) -> Result<BTreeMap<Key, Option<f64>>, Failure> {
     for row in table.rows() {
         let row = row?;
         let time: Option<jiff::Timestamp> = row.text(&from).parse().ok();
-        let expected = "is no time in UTC; give one as 2026-01-05T08:00:00Z";
+        let expected = "is not a time in UTC; give one as 2026-01-05T08:00:00Z";
         let time = time.ok_or_else(|| row.wrong(&from, expected))?;
         let number: Option<u8> = row.text(&lane).parse().ok();
-        let number = number.ok_or_else(|| row.wrong(&lane, "is no lane; give its number"))?;
+        let number = number.ok_or_else(|| row.wrong(&lane, "is not a lane; give its number"))?;
         let key = (time.as_millisecond(), number);
         if found.insert(key, row.maybe_quantity(&density)?).is_some() {
             return Err(row.wrong(&from, "and this lane are there twice"));

@@ -25,7 +25,7 @@ fn open(path: &Path) -> Result<SerializedFileReader<File>, Failure> {
     if [COLUMNS_WITHOUT_ERRORS, COLUMNS_WITHOUT_TRAFFIC, COLUMNS].contains(&columns) {
         return Ok(reader);
     }
-    Err(Failure::content(path, 0, "is no file of verge's archive; keep others out of it"))
+    Err(Failure::content(path, 0, "is not a file of verge's archive; keep others out of it"))
 }
 
 fn damaged(path: &Path, error: &ParquetError) -> Failure {

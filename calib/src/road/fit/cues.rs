@@ -83,7 +83,7 @@ pub struct LaneCue {
     pub left: Vec<Vector2<f64>>,
     /// Which way its traffic moves.
     pub direction: Direction,
-    /// Whether its width is constant. Tapers and merges hold vehicles, but are no cue.
+    /// Whether its width is constant. Tapers and merges hold vehicles, but are not a cue.
     pub steady: bool,
 }
 

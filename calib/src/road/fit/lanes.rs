@@ -189,7 +189,7 @@ fn resample(line: &[Vector2<f64>]) -> [Vector2<f64>; MIDDLE] {
     })
 }
 
-/// Distance of a point from a line whose ends go on for ever; below 0 where the nearest place
+/// Distance of a point from a line whose ends extend without limit; below 0 where the nearest place
 /// lies more than a metre beyond an end.
 fn distance(p: Vector2<f64>, line: &[Vector2<f64>]) -> f64 {
     let last = line.len() - 2;

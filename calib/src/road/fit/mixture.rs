@@ -16,7 +16,7 @@ const EVIDENCE: f64 = 40.0;
 const EDGE_REL_SD: f64 = 0.025;
 /// Scatter of headings about the lane's, rad.
 const HEADING_SD: f64 = 2.5 * std::f64::consts::PI / 180.0;
-/// Part of the boxes that are no whole vehicle.
+/// Share of boxes that are not a whole vehicle.
 const OUTLIERS: f64 = 0.06;
 /// A body with a smaller probability for a box is left out of a step.
 const LEAST: f64 = 0.02;

@@ -21,7 +21,7 @@ pub struct Head {
 }
 
 impl Head {
-    /// Reads a head without the empty line behind it. `None`: it is no answer of `protocol`
+    /// Reads a head without the empty line behind it. `None`: it is not an answer of `protocol`
     /// (`HTTP` or `RTSP`).
     pub fn parse(bytes: &[u8], protocol: &str) -> Option<Self> {
         let mut lines = bytes.split(|&byte| byte == b'\n');
@@ -90,7 +90,7 @@ pub fn end(bytes: &[u8]) -> Option<(usize, usize)> {
     })
 }
 
-/// How something that is no head begins, for a message.
+/// How something that is not a head begins, for a message.
 pub fn beginning(bytes: &[u8]) -> String {
     match bytes {
         [] => "nothing came".to_owned(),

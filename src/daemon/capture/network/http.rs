@@ -99,7 +99,9 @@ impl Client {
                     }
                     let location = head.get("location").unwrap_or_default();
                     let there = address.redirected(location).map_err(|error| {
-                        Fault::Redirects(format!("to what is no address of a picture: {error}"))
+                        Fault::Redirects(format!(
+                            "to something that is not the address of a picture: {error}"
+                        ))
                     })?;
                     let is_allowed = |host: &String| host.eq_ignore_ascii_case(&there.host);
                     if !there.host.eq_ignore_ascii_case(&home.host)
@@ -244,7 +246,7 @@ impl Body {
     /// The line in front of a chunk; `None` where the connection ends first.
     fn chunk_line(&mut self) -> io::Result<Option<u64>> {
         let bad =
-            || io::Error::new(io::ErrorKind::InvalidData, "a chunk whose length is no number");
+            || io::Error::new(io::ErrorKind::InvalidData, "a chunk whose length is not a number");
         loop {
             // The whole line, before any of it is taken: a read may have to be repeated.
             let is_blank = |byte: &&u8| matches!(byte, b'\r' | b'\n');

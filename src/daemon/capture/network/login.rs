@@ -224,7 +224,7 @@ mod tests {
         assert!(login.ready(Instant::now() + Duration::from_secs(601)).is_ok());
         let stale = MD5.replace("qop", "stale=true, qop");
         login.challenged(&head(MD5), false, true).expect("asked");
-        login.challenged(&head(&stale), true, true).expect("stale is no refusal");
+        login.challenged(&head(&stale), true, true).expect("stale is not a refusal");
     }
 
     #[test]

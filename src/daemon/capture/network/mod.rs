@@ -1,4 +1,5 @@
-//! What cameras on a network have in common: how they are reached, and what is said of them.
+//! What cameras on a network have in common: how they are reached, and how they are named in
+//! messages.
 //!
 //! Owns settings and faults of such cameras. [`connection`] is the bytes, with TLS and time
 //! limits; [`head`] the lines in front of an answer; [`login`] the authentication; [`http`] one

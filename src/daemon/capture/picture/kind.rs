@@ -1,6 +1,6 @@
 //! What bytes are that were to be a picture, by how they begin.
 //!
-//! Owns the words for what is no picture to measure: a page, an error in JSON, another format.
+//! Owns the words for what is not a picture to measure: a page, an error in JSON, another format.
 
 use crate::daemon::foreign::{shown, shown_bytes};
 
@@ -41,7 +41,7 @@ pub fn trimmed(bytes: &[u8]) -> &[u8] {
     }
 }
 
-/// What bytes are that are no picture, and what to do about it.
+/// What bytes are when they are not a picture, and what to do about it.
 pub fn described(bytes: &[u8]) -> String {
     if bytes.is_empty() {
         return "the answer is empty (0 bytes)".to_owned();

@@ -208,7 +208,7 @@ fn decode_png(
             push_rgb(row.data(), color, &mut picture.rgb);
         }
     }
-    // What stands behind the pixels: a picture that was cut off there is no whole one.
+    // What stands behind the pixels: a picture that was cut off there is not whole.
     reader.finish().map_err(|_| DecodeError::Truncated { bytes: bytes.len() })?;
     if picture.rgb.len() != picture.width * picture.height * 3 {
         return Err(DecodeError::Damaged("rows are missing".to_owned()));

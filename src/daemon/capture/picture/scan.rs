@@ -46,7 +46,7 @@ pub struct Pictures<R> {
     start: usize,
     /// Where each read ends up first: zeroed once and not before every read.
     chunk: Box<[u8]>,
-    /// The first bytes that are no picture.
+    /// The first bytes that are not a picture.
     preamble: Vec<u8>,
     passed: usize,
     found: u64,
@@ -102,7 +102,7 @@ impl<R: Read> Pictures<R> {
         Ok(())
     }
 
-    /// Passes over what is no picture.
+    /// Skips what is not a picture.
     fn find_start(&mut self) -> Result<Kind, StreamError> {
         loop {
             let bytes = &self.buffer[self.start..];
@@ -137,7 +137,7 @@ impl<R: Read> Pictures<R> {
                 &self.buffer[self.start..self.buffer.len().min(self.start + 16)],
             );
         }
-        // A part's own headers are no answer to what it is.
+        // A part's own headers do not say what it is.
         if kind::is_multipart(&bytes) {
             return match crate::daemon::capture::network::head::end(&bytes) {
                 Some((_, body)) if body < bytes.len() => {

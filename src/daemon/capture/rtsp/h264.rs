@@ -119,7 +119,7 @@ impl Assembler {
 
     fn begin(&mut self, timestamp: u32) {
         self.picture.clear();
-        // A large picture's buffer is not kept for ever.
+        // A large picture's buffer is released in time.
         self.picture.shrink_to(MAX_UNIT / 4);
         self.timestamp = Some(timestamp);
         self.state = State { key: true, ..State::default() };

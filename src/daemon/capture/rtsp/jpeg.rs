@@ -1,6 +1,6 @@
 //! From RTP packets to JPEG pictures (RFC 2435).
 //!
-//! Owns the headers that the format leaves out, written anew from the few bytes that it sends.
+//! Owns the headers that the format leaves out, rebuilt from the few bytes that it sends.
 //! Huffman tables are left out still: the decoder's door adds the standard's.
 
 use super::rtp::{Follows, Order, Packet};

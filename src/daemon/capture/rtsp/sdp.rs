@@ -25,9 +25,9 @@ pub enum Codec {
 pub struct Video {
     /// How its pictures are coded.
     pub codec: Codec,
-    /// Where it is set up, as it stands in the description.
+    /// Where it is set up, as the description has it.
     pub control: Option<String>,
-    /// Where the whole session is played, as it stands in the description.
+    /// Where the whole session is played, as the description has it.
     pub session_control: Option<String>,
     /// Parameter sets that come in the description.
     pub sets: Vec<Vec<u8>>,

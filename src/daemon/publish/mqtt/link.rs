@@ -29,7 +29,7 @@ pub(super) enum End {
     Unreachable(String),
     /// No trust, or no TLS at all.
     Unsafe(String),
-    /// The broker has closed it, without a word.
+    /// The broker has closed it, without a reason.
     Closed,
     /// The broker has ended it, with a reason.
     Told(String),

@@ -17,7 +17,7 @@ const MAX_STATES: usize = 128;
 /// What a message is, which decides what becomes of it when the session ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Said anew by each session.
+    /// Published again by each session.
     Presence,
     /// Kept until a broker has it.
     State,

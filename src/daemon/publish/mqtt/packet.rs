@@ -204,7 +204,7 @@ fn bytes_5(packet: &v5::Packet) -> Option<BytesMut> {
 /// Takes the next packet from `bytes`; `None` while it is not whole.
 ///
 /// # Errors
-/// What came is no packet, or longer than any that we asked for.
+/// What came is not a packet, or longer than any that we asked for.
 pub(super) fn read(spoken: Spoken, bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
     let read = || match spoken {
         Spoken::V3 => read_3(bytes),

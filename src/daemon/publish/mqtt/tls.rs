@@ -1,6 +1,6 @@
 //! Certificates: whom we trust, and who we are to a broker that asks.
 //!
-//! Owns the files of the configuration that secure the connection, and what is said where that
+//! Owns the files of the configuration that secure the connection, and the message where that
 //! fails. Which certificate is taken is `trust`'s.
 
 use super::link::End as LinkEnd;

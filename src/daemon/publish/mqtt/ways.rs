@@ -1,7 +1,7 @@
 //! In which words a broker is spoken to: MQTT 5 or 3.1.1, with a will that it keeps or without.
 //!
 //! Owns which of them is tried next. A broker says what it does not speak, or it closes the
-//! connection without a word: then the others have their turn.
+//! connection without a reason: then the others have their turn.
 
 use super::MqttVersion;
 use super::packet::{Denial, Spoken};

@@ -53,7 +53,7 @@ pub(super) struct Worker {
     /// A broker that closes on subscriptions is asked for none.
     echoes: bool,
     early_ends: u32,
-    /// What was said once: topics without a subscriber, sizes, and the like.
+    /// What was logged once: topics without a subscriber, sizes, and the like.
     said: BTreeSet<String>,
     /// What to connect with next, when this connection is done or at that time.
     change: Option<(Box<MqttSettings>, Instant)>,

@@ -79,7 +79,7 @@ pub(super) fn marker_at(bytes: &[u8], at: usize) -> Result<(u8, usize), Option<u
     if fill == 0 { Err(Some(at)) } else { Ok((marker, at + fill + 1)) }
 }
 
-/// Where coded data end: at the first marker that is no restart.
+/// Where coded data end: at the first marker other than a restart.
 pub(super) fn end_of_coded(bytes: &[u8], from: usize) -> Option<usize> {
     let mut at = from;
     loop {

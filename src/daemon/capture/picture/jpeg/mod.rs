@@ -22,7 +22,7 @@ use walk::Walk;
 /// Most scans of one picture: encoders write about ten.
 const MAX_SCANS: usize = 100;
 
-/// What stands in front of the coded data.
+/// What precedes the coded data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Header {
     /// Columns, px.

@@ -375,8 +375,10 @@ impl<const W: usize> Aggregator<W> {
             frames_expected,
             status,
             cells: Some(series.cells(division, estimate.map(|_| factor))),
-            error: estimate
-                .and_then(|(mean, error)| self.errors.of(mean, error / length_km, length, load)),
+            error: estimate.and_then(|(mean, error)| {
+                let mean = (mean, series.hidden_part());
+                self.errors.of(mean, error / length_km, length, load)
+            }),
             traffic: None,
         }
     }

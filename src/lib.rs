@@ -1,6 +1,6 @@
 //! verge turns a traffic camera into a calibrated sensor of density, lane by lane.
 //!
-//! The core (`units`, `lane`, `density`, `evidence`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
+//! The core (`units`, `lane`, `density`, `evidence`, `hidden`, `wire`, `hal`, `alarm`, `health`, `fault`, `derate`,
 //! `picture`, `scene`, `track`, `traffic`, `sensor`, `node`) is `no_std` and never allocates: time and temperature come in as
 //! arguments, effects go out as returned values. Behind the features of their names, `messages` turns the
 //! core's values into messages, and `daemon` is the line from camera to broker.
@@ -16,6 +16,7 @@ pub mod evidence;
 pub mod fault;
 pub mod hal;
 pub mod health;
+pub mod hidden;
 pub mod lane;
 #[cfg(feature = "messages")]
 pub mod messages;

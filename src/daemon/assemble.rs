@@ -61,8 +61,9 @@ impl Assembly {
     /// # Errors
     /// [`Failure`] where the camera or the spool cannot be opened.
     pub fn open(self, config: &Config) -> Result<(Station, Sensor<Vec<Preset>>, Outlet), Failure> {
-        let Self { line, presets, camera, broker, identity } = self;
+        let Self { mut line, presets, camera, broker, identity } = self;
         let spool = Spool::open(config.spool_folder(), config.spool_windows())?;
+        line.recall_road(&config.road_file());
         let station = Station::open(camera, line)?;
         let mut outlet = Outlet::start(broker, config.mqtt.format, identity, spool);
         outlet.serve_node(config.serial_settings());

@@ -9,12 +9,14 @@ mod pace;
 
 pub use open::{Judging, LineSettings};
 
+use super::clock;
 use super::detect::regions::Parts;
 use super::detect::{Detector, LoadOptions, Share};
 use super::exit::Failure;
 use super::frame::{Detection, Frame, PixelBox};
 use super::overlay;
 use super::presets::{Following, Preset, Presets, WindowSettings};
+use super::road_file::Road;
 use super::scene::{Scene, View};
 use super::vehicles::Vehicles;
 use crate::density::{Counting, Errors, FrameCounts};
@@ -23,7 +25,7 @@ use crate::picture::Light;
 use crate::sensor::{self, Outcome};
 use crate::units::ImagePoint;
 use crate::wire::ModelRef;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// A stage of the line, or a step of one.
@@ -167,6 +169,9 @@ impl Line {
             View::PassedOver => return Ok(Searched::Nothing(Outcome::PassedOver)),
             View::Withheld(alarm) => return Ok(Searched::Nothing(Outcome::Withheld(alarm))),
         };
+        if let Some(scene) = &mut self.scene {
+            scene.recall(preset);
+        }
         self.detector.look_at(&self.parts[preset].of(size));
         for pass in 0..self.detector.passes() {
             self.detector.prepare(picture, pass);
@@ -197,6 +202,31 @@ impl Line {
             |bounds: &PixelBox| scene.as_ref().map_or(0.0, |scene| scene.likeness(bounds));
         vehicles.choose(&mut self.found, size, car, likeness);
         scene.as_ref().map_or(Light::Day, Scene::light)
+    }
+
+    /// Takes up the empty road that an earlier run has left in `file`; says why where it cannot.
+    pub fn recall_road(&mut self, file: &Path) {
+        let Some(scene) = &mut self.scene else { return };
+        let camera = self.presets.active().table().camera_id.as_str();
+        let tables: Vec<_> = self.presets.iter().map(Preset::sha256).collect();
+        match Road::read(file, camera, &tables, clock::now()) {
+            Ok(Some(road)) => {
+                let preset = tables.iter().position(|table| *table == road.table);
+                scene.remember(preset.unwrap_or_default(), road);
+            }
+            Ok(None) => {}
+            Err(error) => {
+                log::info!("{}: {error}; the empty road is learned again", file.display());
+            }
+        }
+    }
+
+    /// The camera's name, and what is known of its empty road; `None` where nothing is.
+    pub fn road(&self) -> Option<(String, Road)> {
+        let (preset, road, now) = self.scene.as_ref()?.road()?;
+        let preset = self.presets.iter().nth(preset)?;
+        let camera = preset.table().camera_id.as_str().to_owned();
+        Some((camera, Road::of(preset.sha256(), road, now)))
     }
 
     /// What judges the pictures, unless that is switched off.

@@ -5,9 +5,11 @@
 
 use super::frame::{Detection, PixelBox, Shape};
 use super::plain;
+use crate::hidden::Seen;
 use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
 use crate::scene::{MAX_REFERENCE, Reference};
 use crate::units::{ImagePoint, ImageSize, MAX_LANES, VehicleClass};
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// Largest table file that is read, bytes: the largest table, with room for its header.
@@ -109,6 +111,7 @@ pub enum LocateError {
 pub struct Locator {
     path: PathBuf,
     table: LaneTable<Vec<u8>>,
+    sha256: [u8; 32],
     anchor: Anchor,
 }
 
@@ -120,6 +123,7 @@ impl Locator {
     pub fn load(path: &Path, camera: Option<&str>, anchor: Anchor) -> Result<Self, LocateError> {
         let read = |source| LocateError::Read { path: path.to_owned(), source };
         let bytes = plain::read(path, MAX_TABLE_BYTES).map_err(read)?;
+        let sha256 = Sha256::digest(&bytes).into();
         let table = LaneTable::parse(bytes)
             .map_err(|source| LocateError::Table { path: path.to_owned(), source })?;
         let found = table.description().camera_id.as_str();
@@ -132,7 +136,12 @@ impl Locator {
                 expected: expected.to_owned(),
             });
         }
-        Ok(Self { path: path.to_owned(), table, anchor })
+        Ok(Self { path: path.to_owned(), table, sha256, anchor })
+    }
+
+    /// SHA-256 of the file.
+    pub fn sha256(&self) -> [u8; 32] {
+        self.sha256
     }
 
     /// The reference of the static scene, where the table has one.
@@ -208,6 +217,26 @@ impl Locator {
         }
     }
 
+    /// The vehicles of a picture as [`crate::hidden`] takes them, in the table's pixels; arguments as
+    /// for [`Self::locate`].
+    pub fn see(
+        &self,
+        detections: &[Detection],
+        picture: ImageSize,
+        shift: ImagePoint,
+        seen: &mut Vec<Seen>,
+    ) {
+        seen.clear();
+        for Detection { bounds, class, .. } in detections {
+            let contact = self.contact(bounds, picture);
+            let place = contact.and_then(|at| self.place_at(at, picture, shift));
+            let corner = |u, v| self.in_table(ImagePoint { u, v }, picture, shift);
+            let (upper, lower) = (corner(bounds.x0, bounds.y0), corner(bounds.x1, bounds.y1));
+            let bounds = PixelBox { x0: upper.u, y0: upper.v, x1: lower.u, y1: lower.v };
+            seen.push(Seen { bounds, class: *class, place });
+        }
+    }
+
     /// The point that stands for the vehicle in a box, px of the picture; `None` where it lies
     /// outside.
     pub fn contact(&self, bounds: &PixelBox, picture: ImageSize) -> Option<ImagePoint> {
@@ -222,12 +251,17 @@ impl Locator {
         picture: ImageSize,
         shift: ImagePoint,
     ) -> Option<Place> {
+        self.table.place(self.in_table(point, picture, shift))
+    }
+
+    /// A point of such a picture in the table's pixels.
+    fn in_table(&self, point: ImagePoint, picture: ImageSize, shift: ImagePoint) -> ImagePoint {
         let table = self.description().image_size;
         let scale = |table: u16, picture: u16| f32::from(table) / f32::from(picture);
-        self.table.place(ImagePoint {
+        ImagePoint {
             u: (point.u - shift.u) * scale(table.width, picture.width),
             v: (point.v - shift.v) * scale(table.height, picture.height),
-        })
+        }
     }
 }
 

@@ -38,6 +38,7 @@ mod plain;
 pub mod presets;
 pub mod publish;
 mod reload;
+mod road_file;
 mod running;
 pub mod scene;
 pub mod serial;

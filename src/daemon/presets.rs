@@ -7,6 +7,8 @@ use super::exit::Failure;
 use super::frame::{Detection, PixelBox};
 use super::locate::{Anchor, LocateError, Located, Locator};
 use crate::density::{AggregateError, Errors, FrameCounts, Start};
+use crate::evidence::CarSize;
+use crate::hidden::{Queues, Seen};
 use crate::lane::{Description, Place};
 use crate::picture::Light;
 use crate::scene::Reference;
@@ -116,6 +118,9 @@ pub struct Preset {
     counts: FrameCounts,
     /// How far the scene of its latest picture stands off its place, px of the picture.
     shift: ImagePoint,
+    /// Estimates what vehicles of a queue hide, where the size of cars is known.
+    queues: Option<Queues>,
+    seen: Vec<Seen>,
     /// Follows the vehicles on the lanes, where pictures come often enough.
     tracker: Option<Tracker>,
     moves: Option<LaneMoves>,
@@ -125,6 +130,11 @@ impl Preset {
     /// What the lane table says about itself.
     pub fn table(&self) -> &Description {
         self.locator.description()
+    }
+
+    /// SHA-256 of its table's file.
+    pub fn sha256(&self) -> [u8; 32] {
+        self.locator.sha256()
     }
 
     /// Where a point of the table's picture lies on the road.
@@ -179,6 +189,8 @@ impl Presets {
                 locator,
                 located: Vec::new(),
                 shift: ImagePoint { u: 0.0, v: 0.0 },
+                queues: None,
+                seen: Vec::new(),
                 tracker: None,
                 moves: None,
             })
@@ -227,6 +239,15 @@ impl Presets {
         Following::On { interval, longest }
     }
 
+    /// From now on vehicles that others hide in a queue are estimated; `cars` are the sizes of cars in
+    /// each table's pictures.
+    pub fn estimate_hidden(&mut self, cars: &[Option<CarSize>]) {
+        for (preset, car) in self.presets.iter_mut().zip(cars) {
+            let queues = |car| Queues::new(preset.table(), |point| preset.place(point), car);
+            preset.queues = car.map(queues);
+        }
+    }
+
     /// The reference of each preset's table.
     ///
     /// # Errors
@@ -270,7 +291,7 @@ impl Presets {
     ) -> Result<(&FrameCounts, Option<&LaneMoves>), LocateError> {
         let size = self.presets[preset].locator.check_size(width, height)?;
         self.active = preset;
-        let Preset { locator, located, none, counts, shift: latest, tracker, moves } =
+        let Preset { locator, located, none, counts, shift: latest, queues, seen, tracker, moves } =
             &mut self.presets[preset];
         *latest = shift;
         locator.locate(detections, size, shift, located);
@@ -282,6 +303,10 @@ impl Presets {
             if let Some(tracker) = tracker {
                 tracker.see(lane, Sighting { s_m, span_m, class: vehicle.class });
             }
+        }
+        if let Some(queues) = queues {
+            locator.see(detections, size, shift, seen);
+            queues.estimate(seen, |lane, s_m| counts.add_hidden(lane, s_m));
         }
         *moves = tracker.as_mut().and_then(|tracker| tracker.observe(time));
         Ok((counts, moves.as_ref()))

@@ -5,6 +5,7 @@
 //! ([`crate::picture`], [`crate::scene`]). After the first picture nothing is allocated.
 
 use super::frame::{Detection, Picture, PixelBox};
+use super::road_file::Road;
 use crate::alarm::Alarm;
 use crate::picture::{Before, Light, Look};
 use crate::scene::{Aim, Cell, EmptyRoad, Eye, Grid, Guard, Judgement, MeanCell, Reference};
@@ -123,6 +124,8 @@ pub struct Scene {
     clock: Duration,
     latest: Option<Look>,
     shift: Option<ImagePoint>,
+    /// The road of a preset as an earlier run has learned it, until that preset is seen.
+    earlier: Option<(usize, Road)>,
     /// When a picture was last compared with one before it, and whether it repeated it.
     compared: Option<Duration>,
     repeats: bool,
@@ -141,6 +144,7 @@ impl Scene {
             clock: Duration::ZERO,
             latest: None,
             shift: None,
+            earlier: None,
             compared: None,
             repeats: false,
         }
@@ -207,6 +211,33 @@ impl Scene {
         let grid = buffers.eye.grid();
         let bounds = in_cells(bounds, grid);
         buffers.road.likeness(&buffers.eye.fine(), self.cells(grid), self.light(), &bounds)
+    }
+
+    /// When the camera looks at `preset`, its road is what an earlier run has learned.
+    pub fn remember(&mut self, preset: usize, road: Road) {
+        self.earlier = Some((preset, road));
+    }
+
+    /// The latest picture is one of `preset`: takes up what an earlier run has learned of its road.
+    pub fn recall(&mut self, preset: usize) {
+        let (Some(buffers), Some((of, _))) = (&mut self.buffers, &self.earlier) else { return };
+        if *of != preset || buffers.road_of.is_some() {
+            return;
+        }
+        let Some((_, Road { grid, known, cells, .. })) = self.earlier.take() else { return };
+        let is = buffers.road.grid();
+        if grid == [is.width, is.height] && buffers.road.resume(known, &cells, self.clock) {
+            buffers.road_of = Some(preset);
+        } else {
+            log::info!("the empty road is learned again: pictures have another shape than before");
+        }
+    }
+
+    /// What is known of the road, and of which preset's, and the time for [`EmptyRoad::known`]; `None`
+    /// before any was learned.
+    pub fn road(&self) -> Option<(usize, &EmptyRoad<Vec<MeanCell>>, Duration)> {
+        let buffers = self.buffers.as_ref()?;
+        Some((buffers.road_of?, &buffers.road, self.clock))
     }
 
     /// Shows the road of `preset` in the latest picture, in which these vehicles stand.

@@ -13,6 +13,8 @@ pub(super) struct LaneCount {
     /// A cell of 100 m has no room for 255 vehicles.
     by_cell: [u8; MAX_LANE_CELLS],
     occupied_m: f32,
+    /// How many of them nobody saw.
+    hidden: u16,
 }
 
 /// The vehicles of one frame, counted by lane, class and cell. [`super::Aggregator::counts`] makes
@@ -62,6 +64,14 @@ impl FrameCounts {
         }
     }
 
+    /// Counts a vehicle that others hide, of unknown kind ([`crate::hidden`]).
+    pub fn add_hidden(&mut self, lane: LaneId, s_m: f32) {
+        self.add(lane, s_m, VehicleClass::Vehicle);
+        if let Some(count) = self.lanes.get_mut(usize::from(lane.get()) - 1) {
+            count.hidden = count.hidden.saturating_add(1);
+        }
+    }
+
     /// Vehicles in that lane.
     pub fn vehicles(&self, lane: LaneId) -> u32 {
         let count = self.lanes.get(usize::from(lane.get()) - 1);
@@ -82,6 +92,7 @@ pub(super) struct Series {
     /// Whole numbers: 16 bits would not hold 15 minutes of a stream's frames.
     by_cell: [u32; MAX_LANE_CELLS],
     pub(super) occupied_m: f32,
+    hidden: f32,
 }
 
 impl Series {
@@ -97,6 +108,7 @@ impl Series {
         self.sum_squares += x * x;
         self.last = x;
         self.occupied_m += count.occupied_m;
+        self.hidden += f32::from(count.hidden);
         for (sum, &n) in self.by_class.iter_mut().zip(&count.by_class) {
             *sum += f32::from(n);
         }
@@ -108,6 +120,11 @@ impl Series {
     /// Mean vehicles per frame; `None` without a frame.
     pub(super) fn mean(&self) -> Option<f32> {
         (self.n > 0).then(|| self.sum / self.n as f32)
+    }
+
+    /// The part of the vehicles that nobody saw, 0 to 1.
+    pub(super) fn hidden_part(&self) -> f32 {
+        if self.sum > 0.0 { self.hidden / self.sum } else { 0.0 }
     }
 
     /// The density of each cell, its counts times `factor`; `None` where that of the lane is not

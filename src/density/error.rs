@@ -8,9 +8,11 @@
 //! lane of length L (k = N/L, Hu et al., Eq. 1): sampling has the standard error of
 //! [`super::counts`]; a length that is wrong by the part e makes k wrong by e k; and counting errs
 //! by a part of N (vehicles hidden, or counted twice) and by a number that stands there
-//! in an empty road too (a mark that passes for a car). The interval is k plus and minus 1.645 of
+//! in an empty road too (a mark that passes for a car). Where vehicles of a queue are estimated that
+//! nobody saw ([`crate::hidden`]), counting errs by a part of their number too. The interval is k plus and minus 1.645 of
 //! the joint standard error, which holds 90 % of a normal error, and not below 0.
 
+use crate::hidden::HIDDEN_REL_ERR;
 use crate::report::DensityError;
 use serde::{Deserialize, Serialize};
 
@@ -123,18 +125,20 @@ impl Errors {
         Some(of(known.day) * (1.0 - load.night) + of(known.night) * load.night)
     }
 
-    /// The error of a density of `mean` vehicles (after correction) in a lane of `length_km`,
-    /// whose sampling error is `sampling` veh/km; `None` where a part of it is not known.
+    /// The error of a density of `mean` vehicles (after correction), of which nobody saw the part
+    /// `hidden`, in a lane of `length_km`, whose sampling error is `sampling` veh/km; `None` where a
+    /// part of it is not known.
     pub(super) fn of(
         &self,
-        mean: f32,
+        (mean, hidden): (f32, f32),
         sampling: f32,
         (length_km, length_rel_err): (f32, Option<f32>),
         load: Load,
     ) -> Option<DensityError> {
         let density = mean / length_km;
         let calibration = density * length_rel_err?;
-        let counting = self.counting(mean, load)? / length_km;
+        let unseen = HIDDEN_REL_ERR * mean * hidden;
+        let counting = libm::hypotf(self.counting(mean, load)?, unseen) / length_km;
         let joint = libm::hypotf(libm::hypotf(sampling, calibration), counting);
         let low = density - Z90 * joint;
         let ci90 = [if low > 0.0 { low } else { 0.0 }, density + Z90 * joint];
@@ -168,23 +172,35 @@ mod tests {
     #[test]
     fn variances_add_and_the_interval_is_not_below_zero() {
         let errors = Errors { counting: Some(COUNTING), site: None };
-        let error = errors.of(2.0, 3.0, (0.1, Some(0.05)), LOAD).expect("all is known");
+        let error = errors.of((2.0, 0.0), 3.0, (0.1, Some(0.05)), LOAD).expect("all is known");
         // Of 20 veh/km: 5 % of length; 0.1 of 2 vehicles and half of 0.4 in 0.1 km.
         assert!((error.calibration - 1.0).abs() < 1e-5);
         assert!((error.counting - libm::sqrtf(8.0)).abs() < 1e-5, "{error:?}");
         let joint = libm::sqrtf(9.0 + 1.0 + 8.0);
         let [low, high] = error.ci90;
         assert!((high - 20.0 - 1.645 * joint).abs() < 1e-4 && (low + high - 40.0).abs() < 1e-4);
-        let empty = errors.of(0.0, 1.0, (0.1, Some(0.05)), LOAD).expect("all is known");
+        let empty = errors.of((0.0, 0.0), 1.0, (0.1, Some(0.05)), LOAD).expect("all is known");
         assert!(empty.ci90[0] == 0.0 && empty.ci90[1] > 3.0 && empty.calibration == 0.0);
+    }
+
+    #[test]
+    fn vehicles_that_nobody_saw_are_known_to_a_part() {
+        let errors = Errors { counting: Some(COUNTING), site: None };
+        let of = |hidden| errors.of((8.0, hidden), 0.0, (0.1, Some(0.0)), LOAD).expect("known");
+        let (none, quarter) = (of(0.0).counting, of(0.25).counting);
+        assert!((quarter - libm::hypotf(none, 10.0 * HIDDEN_REL_ERR * 2.0)).abs() < 1e-4);
     }
 
     #[test]
     fn an_interval_needs_every_part() {
         let errors = Errors { counting: Some(COUNTING), site: None };
-        assert_eq!(errors.of(2.0, 3.0, (0.1, None), LOAD), None, "no error of the length");
+        assert_eq!(errors.of((2.0, 0.0), 3.0, (0.1, None), LOAD), None, "no error of the length");
         let errors = Errors::default();
-        assert_eq!(errors.of(2.0, 3.0, (0.1, Some(0.05)), LOAD), None, "no error of counting");
+        assert_eq!(
+            errors.of((2.0, 0.0), 3.0, (0.1, Some(0.05)), LOAD),
+            None,
+            "no error of counting"
+        );
     }
 
     #[test]
@@ -192,7 +208,7 @@ mod tests {
         let errors = Errors { counting: Some(COUNTING), site: None };
         let at = |night| {
             let load = Load { night, ..LOAD };
-            errors.of(2.0, 0.0, (0.1, Some(0.0)), load).expect("all is known").counting
+            errors.of((2.0, 0.0), 0.0, (0.1, Some(0.0)), load).expect("all is known").counting
         };
         assert!((at(1.0) - 2.0 * at(0.0)).abs() < 1e-4);
         assert!((at(0.5) - 1.5 * at(0.0)).abs() < 1e-4);
@@ -211,7 +227,7 @@ mod tests {
         near(99.0, 1.2, 0.04);
         let errors = Errors { counting: Some(COUNTING), site: Some(site) };
         assert!((errors.factor(LOAD) - 0.95).abs() < 1e-5);
-        let error = errors.of(1.9, 0.0, (0.1, Some(0.0)), LOAD).expect("all is known");
+        let error = errors.of((1.9, 0.0), 0.0, (0.1, Some(0.0)), LOAD).expect("all is known");
         let expected = libm::hypotf(1.9 * 0.04 / 0.95, 0.1 * 0.5) / 0.1;
         assert!((error.counting - expected).abs() < 1e-4, "{error:?}");
     }
@@ -221,7 +237,7 @@ mod tests {
         let errors = Errors { counting: Some(COUNTING), site: Some(site(&[])) };
         assert_eq!(errors.factor(LOAD), 1.0);
         let without = Errors { counting: Some(COUNTING), site: None };
-        let of = |errors: &Errors| errors.of(2.0, 3.0, (0.1, Some(0.05)), LOAD);
+        let of = |errors: &Errors| errors.of((2.0, 0.0), 3.0, (0.1, Some(0.05)), LOAD);
         assert_eq!(of(&errors), of(&without));
     }
 }

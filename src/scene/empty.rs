@@ -37,6 +37,22 @@ const NOISE: f32 = 6.0;
 /// One cell of the memory: a field's, times `FINE`.
 pub type MeanCell = [i16; 2];
 
+/// What is known of the road in one light.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Known {
+    /// Pictures it was learned from, up to [`MEMORY`]; a lane table's reference counts as some.
+    pub seen: u32,
+    /// Time since it was last learned; `None`: never.
+    pub age: Option<Duration>,
+}
+
+/// When it last learned: how old that was already at a time of this run.
+#[derive(Clone, Copy, Debug)]
+struct Learned {
+    at: Duration,
+    age_then: Duration,
+}
+
 /// What the road looks like without vehicles. `M` is the memory's buffer.
 #[derive(Debug)]
 pub struct EmptyRoad<M> {
@@ -46,7 +62,7 @@ pub struct EmptyRoad<M> {
     /// When it last learned, whatever the light.
     latest: Option<Duration>,
     /// When it last learned in each light.
-    learned: [Option<Duration>; LIGHTS],
+    learned: [Option<Learned>; LIGHTS],
 }
 
 impl<M: AsRef<[MeanCell]> + AsMut<[MeanCell]>> EmptyRoad<M> {
@@ -125,8 +141,22 @@ impl<M: AsRef<[MeanCell]> + AsMut<[MeanCell]>> EmptyRoad<M> {
         }
         self.latest = Some(now);
         if let Some(learned) = self.learned.get_mut(half) {
-            *learned = Some(now);
+            *learned = Some(Learned { at: now, age_then: Duration::ZERO });
         }
+        true
+    }
+
+    /// Goes on with what an earlier run has learned of this camera's road: what it knew of each
+    /// light by day and by night, and all [`Self::cells`]. False, and nothing is changed, where there
+    /// are too few or too many.
+    pub fn resume(&mut self, known: [Known; LIGHTS], cells: &[MeanCell], now: Duration) -> bool {
+        let len = Self::buffer_len(self.grid);
+        let Some(memory) = self.cells.as_mut().get_mut(..len).filter(|_| cells.len() == len) else {
+            return false;
+        };
+        memory.copy_from_slice(cells);
+        self.seen = known.map(|of| of.seen.min(MEMORY));
+        self.learned = known.map(|of| of.age.map(|age_then| Learned { at: now, age_then }));
         true
     }
 }
@@ -175,8 +205,24 @@ impl<M: AsRef<[MeanCell]>> EmptyRoad<M> {
 
     /// Time since it last learned in that light; `None`: never.
     pub fn age(&self, light: Light, now: Duration) -> Option<Duration> {
-        let learned = self.learned.get(light as usize).copied().flatten();
-        learned.map(|at| now.saturating_sub(at))
+        let Learned { at, age_then } = self.learned.get(light as usize).copied().flatten()?;
+        Some(age_then.saturating_add(now.saturating_sub(at)))
+    }
+
+    /// What it knows by day and by night, for [`Self::resume`].
+    pub fn known(&self, now: Duration) -> [Known; LIGHTS] {
+        [Light::Day, Light::Night]
+            .map(|light| Known { seen: self.seen(light), age: self.age(light, now) })
+    }
+
+    /// The grid of its pictures.
+    pub const fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// The memory, by day and then by night.
+    pub fn cells(&self) -> &[MeanCell] {
+        self.cells.as_ref().get(..LIGHTS * self.grid.cells()).unwrap_or(&[])
     }
 
     /// Pictures it has learned from in that light, up to [`MEMORY`].

@@ -12,7 +12,7 @@ mod reference;
 mod search;
 mod watch;
 
-pub use empty::{EmptyRoad, LEARN_SPACING, MEMORY, MeanCell};
+pub use empty::{EmptyRoad, Known, LEARN_SPACING, MEMORY, MeanCell};
 pub use field::{Cell, Field, Grid, MAX_SIDE};
 pub use guard::Guard;
 pub use reference::{

@@ -16,6 +16,7 @@ pub use sections::{
 
 use crate::daemon::address::{Address, AddressError, veiled};
 use crate::daemon::publish::TlsFiles;
+use crate::daemon::road_file;
 use crate::daemon::serial::SerialSettings;
 use crate::daemon::trust::Trust;
 use secrets::{private, secret};
@@ -147,14 +148,17 @@ impl Config {
         })?;
         config.resolve(path.parent().unwrap_or(Path::new("")));
         if let Some(trusted) = trusted {
-            // The sidecar holds the digest of its net.
-            trusted.check_file(&config.model.file.with_extension("toml"))?;
-            let tables = &config.lane_table;
-            for table in std::iter::once(&tables.file).chain(&tables.presets) {
-                trusted.check_file(table)?;
-            }
+            config.signed_files().try_for_each(|file| trusted.check_file(&file))?;
         }
         Ok(config)
+    }
+
+    /// The files that change what is counted, beside the configuration itself. The model's sidecar
+    /// holds the digest of its net.
+    fn signed_files(&self) -> impl Iterator<Item = PathBuf> {
+        let tables = &self.lane_table;
+        let tables = std::iter::once(&tables.file).chain(&tables.presets).chain(&tables.audit);
+        std::iter::once(self.model.file.with_extension("toml")).chain(tables.cloned())
     }
 
     /// The camera's user and password.
@@ -248,6 +252,11 @@ impl Config {
     /// Folder of the windows that have not arrived.
     pub fn spool_folder(&self) -> &Path {
         &self.spool.folder
+    }
+
+    /// Where the empty road is kept: the folder that is the daemon's to write.
+    pub fn road_file(&self) -> PathBuf {
+        self.spool_folder().join(road_file::NAME)
     }
 
     /// How many windows the spool must hold.

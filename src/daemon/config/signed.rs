@@ -1,4 +1,4 @@
-//! Signatures over configuration, lane tables and model: minisign's, beside each file.
+//! Signatures over configuration, lane tables, audit and model: minisign's, beside each file.
 //!
 //! Owns when they are asked for: where the environment names a public key, and not the
 //! configuration, which who changes it could leave out. The unit is the place for it

@@ -38,6 +38,15 @@ fn the_example_is_right_and_shows_the_defaults() {
 }
 
 #[test]
+fn what_changes_the_count_must_be_signed() {
+    let config = parse(&example_in_full()).expect("the example with every key");
+    let tables = &config.lane_table;
+    let audit = tables.audit.clone().expect("shown in the example");
+    let expected = [config.model.file.with_extension("toml"), tables.file.clone(), audit];
+    assert_eq!(config.signed_files().collect::<Vec<_>>(), expected);
+}
+
+#[test]
 fn wrong_keys_and_values_are_named() {
     for (from, to, expected) in [
         ("site = ", "sight = ", "sight"),

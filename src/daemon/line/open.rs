@@ -72,7 +72,7 @@ impl Line {
     /// # Errors
     /// [`Failure`] names the file that is missing or wrong.
     pub fn open(settings: &LineSettings) -> Result<Self, Failure> {
-        let presets = Presets::load(&settings.tables)?;
+        let mut presets = Presets::load(&settings.tables)?;
         let references = presets.references()?;
         let judging = settings.judging;
         let scene = (judging != Judging::Off).then(|| Scene::new(references));
@@ -111,7 +111,8 @@ impl Line {
         let least = settings.score.or(site.as_ref().and_then(|site| site.score));
         let vehicles = Vehicles::new(model.evidence, least, input_px);
         let errors = Errors { counting: model.counting, site };
-        let sizes = cars.iter().map(|cars| cars.size).collect();
+        let sizes: Vec<_> = cars.iter().map(|cars| cars.size).collect();
+        presets.estimate_hidden(&sizes);
         let input = detector.input_size();
         let parts = |preset: &Preset| match settings.views {
             Views::Auto => Parts::new(preset.table(), |point| preset.place(point), input),

@@ -1,11 +1,13 @@
 //! The running sensor: reads the clocks, turns the line, and does what the core decides.
 //!
 //! Owns nothing of what follows from what: that is [`crate::sensor`]'s. `hands` performs its
-//! actions, `report` writes the health message, `takeover` puts a new configuration in force.
+//! actions, `report` writes the health message, `takeover` puts a new configuration in force, `road`
+//! keeps the empty road over restarts.
 //! Knows no signal and no service manager.
 
 mod hands;
 mod report;
+mod road;
 mod takeover;
 
 use super::board::Driven;
@@ -79,6 +81,7 @@ pub struct Running {
     started: Duration,
     watch: Watch,
     pending: Option<Box<Candidate>>,
+    road: road::Keeper,
 }
 
 impl Running {
@@ -89,6 +92,7 @@ impl Running {
     ) -> Self {
         Self {
             hands: Hands::new(&config, station.line(), outlet),
+            road: road::Keeper::new(config.road_file()),
             config,
             sensor,
             station,
@@ -119,7 +123,8 @@ impl Running {
     }
 
     /// Says goodbye; what has not arrived waits on the disk.
-    pub fn stop(self) {
+    pub fn stop(mut self) {
+        self.road.finish(self.station.line());
         self.hands.stop();
     }
 
@@ -218,6 +223,7 @@ impl Running {
         let now = self.now();
         self.hear_clock(now.time);
         self.hands.tend();
+        self.road.tend(self.station.line(), now.since_start);
         let actions = self.tell(|sensor, act| sensor.tick(now, board.is_broken(), act));
         if self.hands.is_health_due() {
             self.publish_health(actions, board);

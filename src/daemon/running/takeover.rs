@@ -36,7 +36,9 @@ impl Running {
     pub(super) fn take_over(&mut self, at: UtcMs) {
         let Some(candidate) = self.pending.take() else { return };
         let Candidate { config, assembly } = *candidate;
-        let Assembly { line, presets, camera, broker, identity } = assembly;
+        let Assembly { mut line, presets, camera, broker, identity } = assembly;
+        self.road.finish(self.station.line());
+        line.recall_road(&config.road_file());
         let camera_since = (!self.station.asks(&camera)).then(|| self.since_start());
         if let Err(failure) = self.station.replace(line, camera) {
             return self.refuse(&failure);

@@ -121,3 +121,23 @@ fn it_begins_with_the_lane_tables_edges() {
     let like = road.likeness(&of(&edges), STILL, Light::Night, &square(16.0, 16.0));
     assert!(like > 0.05, "{like}");
 }
+
+#[test]
+fn what_was_learned_is_taken_up_again_with_its_age() {
+    let (mut road, mut later, empty) = (road(), self::road(), field(&[ARROW]));
+    for i in 0..60 {
+        road.learn(&of(&empty), STILL, Light::Day, at(i), &[]);
+    }
+    let known = road.known(at(60));
+    assert!(!later.resume(known, &road.cells()[1..], Duration::ZERO), "of another size");
+    assert_eq!(later.seen(Light::Day), 0, "nothing of it was taken");
+    assert!(later.resume(known, road.cells(), Duration::ZERO));
+    let like = |road: &EmptyRoad<Vec<MeanCell>>| {
+        road.likeness(&of(&empty), STILL, Light::Day, &square(16.0, 16.0))
+    };
+    assert_eq!(like(&later), like(&road));
+    assert_eq!(later.age(Light::Day, at(2)), Some(LEARN_SPACING * 3));
+    assert_eq!(later.age(Light::Night, at(2)), None);
+    assert!(later.learn(&of(&empty), STILL, Light::Day, at(3), &[]), "it goes on learning");
+    assert_eq!(later.age(Light::Day, at(3)), Some(Duration::ZERO));
+}

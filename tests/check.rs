@@ -37,6 +37,7 @@ fn what_is_right_passes_and_leaves_nothing_behind() {
     let more = format!("[metrics]\nfile = \"{}/verge.prom\"\n", folder.path().display());
     let (output, said) = check(&configuration(folder.path(), broker.port, &more));
     assert!(output.status.success(), "{said}{}", common::stderr(&output));
+    assert!(said.contains("(lane 1 of 82 m one each 0.50 s, "), "{said}");
     for line in ["ok    spool:", "ok    metrics:", "ok    broker:", "MQTT 5", "as this user"] {
         assert!(said.contains(line), "{line} in {said}");
     }

@@ -195,6 +195,34 @@ fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
     assert_eq!(fails(&["--frames", frames]).0, 64);
     let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--window", "7"]);
     assert_eq!(code, 66, "{said}");
+    let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--top-speed", "5"]);
+    assert!(code == 64 && said.contains("10 to 300"), "{said}");
+}
+
+#[test]
+fn flow_and_speed_have_columns_where_vehicles_are_followed() {
+    let frames = folder();
+    for step in 0..4 {
+        let name = format!("20260105T080000.{}00Z.jpg", 2 * step);
+        std::fs::write(frames.path().join(name), jpeg(320, 240, 90)).expect("writing a frame");
+    }
+    let replay = |more: &[&str]| {
+        let args =
+            ["replay", "--table", K109F_TABLE, "--frames", text(frames.path()), "--unwatched"];
+        let output = verge(&[&args, more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let text = String::from_utf8(output.stdout).expect("UTF-8");
+        text.lines().map(|line| line.split_whitespace().count()).collect::<Vec<_>>()
+    };
+    let [heading, rows @ ..] = &replay(&[])[..] else { panic!("nothing was printed") };
+    // The heading says `from (UTC)` and `time %`, and nothing over the direction.
+    assert_eq!((*heading, rows), (12, &[11; 4][..]), "density, flow, speed, occupancy");
+    let [heading, rows @ ..] = &replay(&["--top-speed", "300"])[..] else { panic!("nothing") };
+    assert_eq!(
+        (*heading, rows),
+        (8, &[8; 4][..]),
+        "the lanes are too short for that: density alone"
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The density of one window of one site, and the check that every reader relies on.
 
 use crate::place::check_lane;
-use crate::wrong::{count, known, name, number, sha256};
+use crate::wrong::{count, interval, known, name, number, sha256};
 use crate::{LaneName, Place, SCHEMA, SCHEMA_WITH_PLACE, Schema, Status, Traffic, Utc, Wrong};
 use serde::{Deserialize, Serialize};
 
@@ -371,10 +371,7 @@ impl Lane {
         count("frames_expected", (*frames_expected).into(), 1, MOST_FRAMES.into())?;
         known("calibration_se", *calibration_se, MOST_CI_VEH_KM)?;
         known("counting_se", *counting_se, MOST_CI_VEH_KM)?;
-        if let Some([low, high]) = *density_ci90 {
-            number("density_ci90[0]", low, 0.0, MOST_CI_VEH_KM)?;
-            number("density_ci90[1]", high, low, MOST_CI_VEH_KM)?;
-        }
+        interval("density_ci90", *density_ci90, MOST_CI_VEH_KM)?;
         traffic.as_ref().map_or(Ok(()), Traffic::check)?;
         let Some(cells) = cells else { return Ok(()) };
         cells.check(*length_m).map_err(|wrong| wrong.inside("cells"))

@@ -1,7 +1,7 @@
 //! Flow, speed and occupancy of a lane: the fields that stand beside its density where vehicles are
 //! followed.
 
-use crate::wrong::{count, known, number};
+use crate::wrong::{count, interval, known, number};
 use crate::{Status, Wrong};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -104,10 +104,22 @@ pub struct Passed {
 }
 
 impl Passed {
+    /// The classes by name, in their order.
+    pub const fn named(&self) -> [(&'static str, u16); 6] {
+        let Self { vehicle, car, van, bus, truck, motorcycle } = *self;
+        [
+            ("vehicle", vehicle),
+            ("car", car),
+            ("van", van),
+            ("bus", bus),
+            ("truck", truck),
+            ("motorcycle", motorcycle),
+        ]
+    }
+
     /// All of them.
     pub fn all(&self) -> u32 {
-        let Self { vehicle, car, van, bus, truck, motorcycle } = *self;
-        [vehicle, car, van, bus, truck, motorcycle].into_iter().map(u32::from).sum()
+        self.named().into_iter().map(|(_, n)| u32::from(n)).sum()
     }
 }
 
@@ -133,17 +145,8 @@ impl Traffic {
         interval("speed_ci90", *speed_ci90, MOST_CI_KMH)?;
         known("time_occupancy", *time_occupancy, 1.0)?;
         interval("time_occupancy_ci90", *time_occupancy_ci90, 1.0)?;
-        if let Some(Passed { vehicle, car, van, bus, truck, motorcycle }) = *passed {
-            for (class, n) in [
-                ("vehicle", vehicle),
-                ("car", car),
-                ("van", van),
-                ("bus", bus),
-                ("truck", truck),
-                ("motorcycle", motorcycle),
-            ] {
-                count(class, n.into(), 0, MOST_PASSED.into())?;
-            }
+        for (class, n) in passed.iter().flat_map(Passed::named) {
+            count(class, n.into(), 0, MOST_PASSED.into())?;
         }
         known("section_flow_veh_h", *section_flow_veh_h, MOST_VEH_H)?;
         known("speed_time_mean_kmh", *speed_time_mean_kmh, MOST_KMH)?;
@@ -155,10 +158,4 @@ impl Traffic {
             number("density_difference", difference, -MOST_VEH_KM, MOST_VEH_KM)
         })
     }
-}
-
-fn interval(field: &str, given: Option<[f32; 2]>, most: f32) -> Result<(), Wrong> {
-    let Some([low, high]) = given else { return Ok(()) };
-    number(&format!("{field}[0]"), low, 0.0, most)?;
-    number(&format!("{field}[1]"), high, low, most)
 }

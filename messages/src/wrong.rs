@@ -36,6 +36,13 @@ pub(crate) fn known(field: &str, given: Option<f32>, most: f32) -> Result<(), Wr
     given.map_or(Ok(()), |given| number(field, given, 0.0, most))
 }
 
+/// Both ends of an interval, where it is known.
+pub(crate) fn interval(field: &str, given: Option<[f32; 2]>, most: f32) -> Result<(), Wrong> {
+    let Some([low, high]) = given else { return Ok(()) };
+    number(&format!("{field}[0]"), low, 0.0, most)?;
+    number(&format!("{field}[1]"), high, low, most)
+}
+
 /// A count that must lie in a range.
 pub(crate) fn count(field: &str, given: u64, least: u64, most: u64) -> Result<(), Wrong> {
     if (least..=most).contains(&given) {

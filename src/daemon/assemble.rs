@@ -78,10 +78,11 @@ pub fn open_recording(
     frames: &Path,
     interval: Option<Duration>,
     utc_offset_s: i32,
+    top_kmh: f32,
 ) -> Result<(Recorded, Line, Windows<Vec<Preset>>), Failure> {
     let recorded = Recorded::open_local(frames, interval, utc_offset_s)?;
     let mut line = Line::open(settings)?;
-    line.follow(DEFAULT_TOP_KMH, recorded.interval());
+    line.follow(top_kmh, recorded.interval());
     let presets = line.windows(windows, recorded.interval())?;
     Ok((recorded, line, Windows::new(presets)))
 }
@@ -102,7 +103,8 @@ pub fn open_endless(
     windows: &WindowSettings,
     frames: &Path,
 ) -> Result<(Station, Windows<Vec<Preset>>), Failure> {
-    let (recorded, line, windows) = open_recording(settings, windows, frames, None, 0)?;
+    let (recorded, line, windows) =
+        open_recording(settings, windows, frames, None, 0, DEFAULT_TOP_KMH)?;
     let source = Source::Recorded(recorded.for_ever());
     Ok((Station::with(source, Frame::default(), line), windows))
 }
@@ -182,6 +184,7 @@ pub fn open_line(config: &Config) -> Result<Line, Failure> {
     line.keep_within(config.interval())?;
     if config.traffic.enabled {
         line.follow(config.traffic.top_speed_kmh, config.interval());
+        line.set_sections(config.traffic.sections())?;
     }
     Ok(line)
 }

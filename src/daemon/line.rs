@@ -10,6 +10,7 @@ mod pace;
 pub use open::{Judging, LineSettings};
 
 use super::clock;
+use super::config::ConfigError;
 use super::detect::regions::Parts;
 use super::detect::{Detector, LoadOptions, Share};
 use super::exit::Failure;
@@ -23,7 +24,7 @@ use crate::density::{Counting, Errors, FrameCounts};
 use crate::evidence::CarSize;
 use crate::picture::Light;
 use crate::sensor::{self, Outcome};
-use crate::units::ImagePoint;
+use crate::units::{ImagePoint, LaneId};
 use crate::wire::ModelRef;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -94,6 +95,36 @@ impl Line {
     /// suffices. To be called before [`Self::windows`].
     pub fn follow(&mut self, top_kmh: f32, interval: Duration) {
         self.following = self.presets.follow(top_kmh, interval);
+    }
+
+    /// From now on the vehicles of these lanes are counted so far from their upstream ends, m, where
+    /// vehicles are followed at all. To be called after [`Self::follow`].
+    ///
+    /// # Errors
+    /// [`ConfigError::Camera`] names the lane that no table has, or the place that is not on it.
+    pub fn set_sections(
+        &mut self,
+        sections: impl IntoIterator<Item = (LaneId, f32)>,
+    ) -> Result<(), ConfigError> {
+        if !matches!(self.following, Following::On { .. }) {
+            return Ok(());
+        }
+        for (lane, section_m) in sections {
+            if !self.presets.set_section(lane, section_m) {
+                let reason = format!(
+                    "lane {} has no place {section_m} m from its upstream end: give one inside a \
+                     lane of the table",
+                    lane.get()
+                );
+                return Err(ConfigError::Camera { key: "traffic.section_m", reason });
+            }
+        }
+        Ok(())
+    }
+
+    /// What each lane needs to follow vehicles of up to `top_kmh`, in words.
+    pub fn needs(&self, top_kmh: f32) -> String {
+        self.presets.needs(top_kmh)
     }
 
     /// Whether vehicles are followed.

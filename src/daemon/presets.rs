@@ -9,12 +9,12 @@ use super::locate::{Anchor, LocateError, Located, Locator};
 use crate::density::{AggregateError, Errors, FrameCounts, Start};
 use crate::evidence::CarSize;
 use crate::hidden::{Queues, Seen};
-use crate::lane::{Description, Place};
+use crate::lane::{Description, Lane, Place};
 use crate::picture::Light;
 use crate::scene::Reference;
 use crate::sensor;
-use crate::track::{LaneMoves, Sighting, Tracker};
-use crate::units::{ImagePoint, ImageSize, UtcMs};
+use crate::track::{LaneMoves, Sighting, Tracker, rate};
+use crate::units::{ImagePoint, ImageSize, LaneId, UtcMs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -246,6 +246,33 @@ impl Presets {
             let queues = |car| Queues::new(preset.table(), |point| preset.place(point), car);
             preset.queues = car.map(queues);
         }
+    }
+
+    /// From now on the vehicles of that lane are counted so far from its upstream end, m, in every
+    /// table that has the lane; false where none has it or the place is not on it.
+    #[must_use]
+    pub fn set_section(&mut self, lane: LaneId, section_m: f32) -> bool {
+        let has_lane = |preset: &&mut Preset| preset.table().lanes.iter().any(|l| l.id == lane);
+        let trackers = self.presets.iter_mut().filter(has_lane);
+        let mut set = trackers
+            .filter_map(|preset| preset.tracker.as_mut())
+            .map(|tracker| tracker.set_section(lane, section_m))
+            .peekable();
+        set.peek().is_some() && set.all(|is_set| is_set)
+    }
+
+    /// The longest time between two pictures with which vehicles of up to `top_kmh` are followed on
+    /// each lane, in words.
+    pub fn needs(&self, top_kmh: f32) -> String {
+        let lanes = self.presets.iter().flat_map(|preset| &preset.table().lanes);
+        let need = |lane: &Lane| {
+            let longest = rate::longest_interval(std::slice::from_ref(lane), top_kmh);
+            let longest = longest.map_or("more than any camera gives".to_owned(), |longest| {
+                format!("one each {:.2} s", longest.as_secs_f32())
+            });
+            format!("lane {} of {:.0} m {longest}", lane.id.get(), lane.length_m)
+        };
+        lanes.map(need).collect::<Vec<_>>().join(", ")
     }
 
     /// The reference of each preset's table.

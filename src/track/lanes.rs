@@ -32,6 +32,14 @@ impl Tracker {
         Some(Self { lanes, sightings: Default::default(), longest, latest: None })
     }
 
+    /// From now on vehicles of that lane are counted so far from its upstream end, m; false where
+    /// there is no such lane or place.
+    #[must_use]
+    pub fn set_section(&mut self, lane: LaneId, section_m: f32) -> bool {
+        let known = self.lanes.iter_mut().find(|(id, _)| *id == lane);
+        known.is_some_and(|(_, tracker)| tracker.set_section(section_m))
+    }
+
     /// The longest time between two pictures with which it follows vehicles.
     pub const fn longest_interval(&self) -> Duration {
         self.longest

@@ -13,17 +13,21 @@
 
 mod association;
 mod filter;
+mod hidden;
 mod lanes;
 mod moves;
 pub mod rate;
+mod vehicle;
 
 pub use lanes::{LaneMoves, Tracker};
 pub use moves::{Moves, Passages};
+pub use vehicle::{BRIDGE_S, HOLD_IN_QUEUE_S, HOLD_S};
 
 use crate::lane::Lane;
 use crate::units::{Direction, VehicleClass};
 use association::{align, match_cost};
-use filter::{Motion, place_variance};
+use filter::place_variance;
+use vehicle::{Covered, STANDING_M_S, Track};
 
 /// Most vehicles followed in one lane: 400 m at jam density.
 pub const MAX_TRACKS: usize = 64;
@@ -31,18 +35,9 @@ pub const MAX_TRACKS: usize = 64;
 pub const MAX_SIGHTINGS: usize = 64;
 /// Pictures in which a vehicle must be seen before it counts.
 pub const CONFIRM: u8 = 3;
-/// Longest time for which a moving vehicle that is not seen is where its speed takes it, s.
-pub const BRIDGE_S: f32 = 2.5;
-/// Longest time for which a standing vehicle that is not seen stays, s: hidden in a queue, it waits
-/// for green.
-pub const HOLD_S: f32 = 30.0;
 /// Time after which it may count, s: what lasts for three of 25 pictures a second is not yet a
 /// vehicle.
 const CONFIRM_S: f32 = 0.3;
-/// Pictures in a row that may miss a vehicle that does not count yet.
-const YOUNG_MISSES: u16 = 1;
-/// Speed below which a vehicle stands, m/s.
-const STANDING_M_S: f32 = 1.0;
 /// Standard deviations of two places by which a vehicle may seem to go back.
 const BACKWARDS: f32 = 3.0;
 /// Sightings nearer than this to a vehicle's are second boxes of it, m: nobody stands so close.
@@ -55,7 +50,7 @@ const QUEUES_M_S: [f32; 2] = [5.0 / 3.6, 10.0 / 3.6];
 /// Longest distance from a queued vehicle to the next one of the same queue, m: a lorry and a gap.
 const QUEUE_GAP_M: f32 = 20.0;
 /// What is taken for the speed of the first vehicle on a lane, and its standard deviation, m/s.
-const ANY_SPEED_M_S: [f32; 2] = [15.0, 10.0];
+const ANY_SPEED_M_S: [f32; 2] = [8.0, 10.0];
 /// From the point where a vehicle meets the road in the picture, its nearer wheels and bumper, to
 /// the end of it, m: most of a car's overhang (docs/explanation/traffic.md).
 const OVERHANG_M: f32 = 0.6;
@@ -76,87 +71,6 @@ pub struct Sighting {
 /// Sightings of one lane in one picture.
 pub type Sightings = heapless::Vec<Sighting, MAX_SIGHTINGS>;
 
-/// What a track has covered and is not counted yet.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Covered {
-    distance_m: f32,
-    time_s: f32,
-    occupied_s: f32,
-}
-
-/// One vehicle.
-#[derive(Clone, Copy, Debug)]
-struct Track {
-    motion: Motion,
-    /// Pictures in which it was seen before it counted.
-    seen: u8,
-    /// Time since the first, s.
-    age_s: f32,
-    /// Where it was seen last, m: up to there it is counted.
-    at_m: f32,
-    /// Time since then, and the pictures in it that missed it.
-    unseen_s: f32,
-    missed: u16,
-    /// From where it is known, m: 0 where it came in at the upstream end.
-    from_m: f32,
-    pending: Covered,
-    classes: [u8; VehicleClass::COUNT],
-    is_confirmed: bool,
-    has_passed: bool,
-    is_queued: bool,
-}
-
-impl Track {
-    fn new(sighting: &Sighting, [v, v_sd]: [f32; 2]) -> Self {
-        let motion = Motion::first(sighting.s_m, place_variance(sighting.span_m), v, v_sd);
-        let mut track = Self {
-            motion,
-            seen: 1,
-            age_s: 0.0,
-            at_m: sighting.s_m,
-            unseen_s: 0.0,
-            missed: 0,
-            from_m: sighting.s_m,
-            pending: Covered::default(),
-            classes: [0; VehicleClass::COUNT],
-            is_confirmed: false,
-            has_passed: false,
-            is_queued: false,
-        };
-        track.note_class(sighting.class);
-        track
-    }
-
-    fn note_class(&mut self, class: VehicleClass) {
-        if let Some(votes) = self.classes.get_mut(class.index()) {
-            *votes = votes.saturating_add(1);
-        }
-    }
-
-    /// The class that it was seen as most often.
-    fn class(&self) -> VehicleClass {
-        let votes = |class: &VehicleClass| self.classes.get(class.index()).copied();
-        VehicleClass::ALL.into_iter().max_by_key(votes).unwrap_or(VehicleClass::Vehicle)
-    }
-
-    const fn counts(&self) -> bool {
-        self.is_confirmed
-    }
-
-    fn stands(&self) -> bool {
-        self.motion.v_m_s < STANDING_M_S
-    }
-
-    /// Whether it is unseen for so long that it is given up.
-    fn is_lost(&self) -> bool {
-        match (self.counts(), self.stands()) {
-            (false, _) => self.missed > YOUNG_MISSES,
-            (true, true) => self.unseen_s > HOLD_S,
-            (true, false) => self.unseen_s > BRIDGE_S,
-        }
-    }
-}
-
 /// The vehicles of one lane.
 #[derive(Clone, Debug)]
 pub struct LaneTracker {
@@ -167,6 +81,8 @@ pub struct LaneTracker {
     tracks: heapless::Vec<Track, MAX_TRACKS>,
     /// Speed at which vehicles usually pass, m/s.
     usual_m_s: Option<f32>,
+    /// Whether no picture was taken yet.
+    is_new: bool,
     /// Time since the latest passage of the section, s.
     since_passage_s: Option<f32>,
 }
@@ -180,13 +96,26 @@ impl LaneTracker {
             direction: lane.direction,
             tracks: heapless::Vec::new(),
             usual_m_s: None,
+            is_new: true,
             since_passage_s: None,
         }
+    }
+
+    /// From now on vehicles are counted so far from the upstream end, m; false where that is not on
+    /// the lane.
+    #[must_use]
+    pub fn set_section(&mut self, section_m: f32) -> bool {
+        let is_inside = section_m > 0.0 && section_m < self.length_m;
+        if is_inside {
+            self.section_m = section_m;
+        }
+        is_inside
     }
 
     /// Forgets the vehicles: what comes next is not connected with what was.
     pub fn forget(&mut self) {
         self.tracks.clear();
+        self.is_new = true;
         self.since_passage_s = None;
     }
 
@@ -202,6 +131,7 @@ impl LaneTracker {
         let mut moves = Moves { observed_s: dt, ..Moves::default() };
         self.since_passage_s = self.since_passage_s.map(|s| s + dt);
         for track in &mut self.tracks {
+            track.was_m = track.motion.s_m;
             if track.missed > 0 && track.stands() {
                 // It stays until it is seen to go.
                 track.motion.stand(dt);
@@ -211,6 +141,7 @@ impl LaneTracker {
             (track.age_s, track.unseen_s) = (track.age_s + dt, track.unseen_s + dt);
         }
         self.tracks.sort_unstable_by(|a, b| a.motion.s_m.total_cmp(&b.motion.s_m));
+        hidden::follow(&mut self.tracks, self.direction, dt);
         let (tracks, seen) = (&self.tracks, &*sightings);
         let matched = align(tracks.len(), seen.len(), |track, sighting| {
             let (Some(track), Some(sighting)) = (tracks.get(track), seen.get(sighting)) else {
@@ -228,7 +159,7 @@ impl LaneTracker {
             if let Some(taken) = sighting.and_then(|at| is_taken.get_mut(at)) {
                 *taken = true;
             }
-            self.step(index, sighting.and_then(|at| sightings.get(at)), &mut moves);
+            self.step(index, sighting.and_then(|at| sightings.get(at)), dt, &mut moves);
         }
         let end_m = self.length_m;
         self.tracks.retain(|track| {
@@ -236,21 +167,28 @@ impl LaneTracker {
             !left && !track.is_lost()
         });
         self.begin(sightings, &is_taken, &mut moves);
+        self.is_new = false;
         moves.queue_m = self.queue();
         moves
     }
 
     /// A track that was seen, or not.
-    fn step(&mut self, index: usize, sighting: Option<&Sighting>, moves: &mut Moves) {
+    fn step(&mut self, index: usize, sighting: Option<&Sighting>, dt: f32, moves: &mut Moves) {
         let (length_m, section_m) = (self.length_m, self.section_m);
         let Some(track) = self.tracks.get_mut(index) else { return };
         let (from_m, took_s) = (track.at_m, track.unseen_s);
+        let length = track.class().nominal_length_m();
         // Where it is now, and how long ago it was there: now, or when it left the lane.
         let (to_m, ago_s) = if let Some(sighting) = sighting {
             track.motion.update(sighting.s_m, place_variance(sighting.span_m));
             track.note_class(sighting.class);
-            (track.motion.s_m.clamp(0.0, length_m), 0.0)
+            let to_m = track.motion.s_m.clamp(0.0, length_m);
+            let way_m = [track.was_m, to_m];
+            track.unseen_occupied_s += occupied(way_m, dt, section_m, self.direction, length);
+            (to_m, 0.0)
         } else {
+            let way_m = [track.was_m, track.motion.s_m];
+            track.unseen_occupied_s += occupied(way_m, dt, section_m, self.direction, length);
             track.missed = track.missed.saturating_add(1);
             if track.motion.s_m < length_m || !track.counts() {
                 return;
@@ -259,23 +197,19 @@ impl LaneTracker {
             (length_m, beyond_s.min(took_s))
         };
         let time_s = took_s - ago_s;
-        let covered = Covered {
-            distance_m: to_m - from_m,
-            time_s,
-            occupied_s: occupied(
-                [from_m, to_m],
-                time_s,
-                section_m,
-                self.direction,
-                track.class().nominal_length_m(),
-            ),
+        let occupied_s = if took_s > BRIDGE_S {
+            // It stood for a part of that time: it did not move evenly.
+            track.unseen_occupied_s.min(time_s)
+        } else {
+            occupied([from_m, to_m], time_s, section_m, self.direction, length)
         };
+        let covered = Covered { distance_m: to_m - from_m, time_s, occupied_s };
         if track.missed > 1 {
             let bridged = covered.distance_m;
             moves.bridged_m2 += bridged * bridged;
         }
         if sighting.is_some() {
-            (track.at_m, track.unseen_s, track.missed) = (to_m, 0.0, 0);
+            track.seen_at(to_m);
         }
         if track.counts() {
             moves.add(covered.distance_m, covered.time_s, covered.occupied_s);
@@ -317,7 +251,7 @@ impl LaneTracker {
         let speed = track.motion.v_m_s;
         // The whole way at that speed, less what was seen of it.
         let before_s = track.motion.s_m / speed.max(f32::EPSILON) - track.age_s;
-        if speed > STANDING_M_S && before_s <= BRIDGE_S {
+        if speed > STANDING_M_S && before_s <= BRIDGE_S && !track.was_there {
             let (born_m, before_s) = (track.from_m, before_s.max(0.0));
             let length_m = track.class().nominal_length_m();
             let occupied_s = occupied([0.0, born_m], before_s, section_m, direction, length_m);
@@ -340,7 +274,7 @@ impl LaneTracker {
             if self.tracks.iter().any(is_second) {
                 continue;
             }
-            let track = Track::new(sighting, self.speed_near(sighting.s_m));
+            let track = Track::new(sighting, self.speed_near(sighting.s_m), self.is_new);
             if self.tracks.push(track).is_err() {
                 moves.lost = moves.lost.saturating_add(1);
             }

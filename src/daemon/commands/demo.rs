@@ -13,6 +13,7 @@ use crate::daemon::outlet::Outlet;
 use crate::daemon::presets::WindowSettings;
 use crate::daemon::publish::loopback::{self, Subscriber};
 use crate::daemon::publish::{Format, Identity, MqttSettings};
+use crate::track::rate::DEFAULT_TOP_KMH;
 use serde_json::Value;
 use std::path::Path;
 use std::thread;
@@ -31,7 +32,7 @@ pub fn run() -> Result<(), Failure> {
     let settings = LineSettings::recorded(recording.table.as_ref(), &model);
     let windows = WindowSettings::recorded(WINDOW);
     let (recorded, mut line, windows) =
-        open_recording(&settings, &windows, recording.frames.as_ref(), None, 0)?;
+        open_recording(&settings, &windows, recording.frames.as_ref(), None, 0, DEFAULT_TOP_KMH)?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
         .map_err(|e| Failure::Internal(e.to_string()))?;

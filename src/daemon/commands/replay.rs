@@ -11,6 +11,7 @@ use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
 use crate::daemon::presets::{Following, TableSettings, WindowSettings};
 use crate::density::LaneReport;
+use crate::track::rate::DEFAULT_TOP_KMH;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -38,6 +39,9 @@ pub struct Args {
     /// Time between frames, s [default: from names, file times, else 120]
     #[arg(long, value_name = "S")]
     interval: Option<f64>,
+    /// Highest speed that is driven there, km/h: it decides how many pictures flow and speed need
+    #[arg(long, value_name = "KMH", default_value_t = DEFAULT_TOP_KMH, value_parser = top_speed)]
+    top_speed: f32,
     /// Offset from UTC of times in names that state none, as +01:00
     #[arg(long, value_name = "OFFSET", value_parser = utc_offset, default_value = "Z", allow_hyphen_values = true)]
     utc_offset: i32,
@@ -70,8 +74,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     };
     let windows = WindowSettings::recorded(Duration::from_secs(args.window));
     let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
-    let (recorded, mut line, windows) =
-        open_recording(&settings, &windows, &args.frames, interval, args.utc_offset)?;
+    let (recorded, mut line, windows) = open_recording(
+        &settings,
+        &windows,
+        &args.frames,
+        interval,
+        args.utc_offset,
+        args.top_speed,
+    )?;
     if recorded.assumes_interval() {
         log::warn!(
             "neither names nor file times tell when the frames were taken: one each {} s is \
@@ -89,7 +99,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         text::Messages::new(&line.preset().table().camera_id, line.model(), recorded.tells_time());
     let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
     let mut short = false;
-    let mut heading = (!args.json).then_some(text::LANE_HEADING);
+    let is_moving = matches!(line.following(), Following::On { .. });
+    let mut heading = (!args.json).then(|| text::heading(is_moving));
     let overlays = args.overlay.as_deref().map(|folder| Overlays::into(folder, &args.frames));
     let overlays = overlays.transpose()?;
     play(recorded, &mut line, windows, |played| match played {
@@ -111,8 +122,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             if args.json {
                 return print(&messages.next(window));
             }
-            heading.take().map_or(Ok(()), print)?;
-            window.report.lanes.iter().try_for_each(|lane| print(&text::lane(window.report, lane)))
+            heading.take().map_or(Ok(()), |heading| print(&heading))?;
+            window.report.lanes.iter().try_for_each(|lane| {
+                let line = text::lane(window.report, lane);
+                print(&format!("{line}{}", text::moving(lane)))
+            })
         }
     })?;
     detections.map_or(Ok(()), |file| Ok(file.finish()?))
@@ -145,6 +159,12 @@ impl<'a> Overlays<'a> {
         file.bytes(&drawn)?;
         Ok(file.finish()?)
     }
+}
+
+/// Reads a speed, km/h.
+fn top_speed(text: &str) -> Result<f32, String> {
+    let speed = text.parse().ok().filter(|kmh| (10.0..=300.0).contains(kmh));
+    speed.ok_or_else(|| "give 10 to 300".to_owned())
 }
 
 /// Reads an offset from UTC, s.

@@ -34,6 +34,35 @@ pub fn lane(report: &WindowReport, lane: &LaneReport) -> String {
 pub const LANE_HEADING: &str =
     "from (UTC)           window  lane           veh/km      se    frames status";
 
+/// Heading of [`lane`]'s columns, and of [`moving`]'s where vehicles are followed.
+pub fn heading(is_moving: bool) -> String {
+    let blank = LONGEST_STATUS - "status".len();
+    if is_moving {
+        format!("{LANE_HEADING}{:blank$} {:>7} {:>7} {:>7}", "", "veh/h", "km/h", "time %")
+    } else {
+        LANE_HEADING.to_owned()
+    }
+}
+
+/// Flow, space-mean speed and time occupancy of a lane, in the columns behind [`lane`]'s; empty where
+/// vehicles are not followed.
+pub fn moving(lane: &LaneReport) -> String {
+    let Some(traffic) = &lane.traffic else { return String::new() };
+    let number = |value: Option<f32>| value.map_or("-".to_owned(), |value| format!("{value:.1}"));
+    // As wide as the longest status before it.
+    let blank = LONGEST_STATUS - status_name(lane.status).len().min(LONGEST_STATUS);
+    format!(
+        "{:blank$} {:>7} {:>7} {:>7}",
+        "",
+        number(traffic.flow_veh_h),
+        number(traffic.speed_kmh),
+        number(traffic.time_occupancy.map(|share| share * 100.0)),
+    )
+}
+
+/// Letters of `detectionAutoSuspended`, the longest status.
+const LONGEST_STATUS: usize = 22;
+
 /// Windows as they would be published, one after the other.
 pub struct Messages {
     identity: Identity,

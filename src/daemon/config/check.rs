@@ -7,6 +7,7 @@ use crate::daemon::foreign::shown;
 use crate::daemon::publish::Format;
 use crate::daemon::trust::Trust;
 use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
+use crate::units::MAX_LANES;
 
 impl Config {
     /// The first key with a wrong value, and what would be right.
@@ -50,6 +51,11 @@ impl Config {
             (10.0..=300.0).contains(&self.traffic.top_speed_kmh),
             "traffic.top_speed_kmh",
             format!("{} km/h: give 10 to 300", self.traffic.top_speed_kmh),
+        )?;
+        known(
+            self.traffic.sections().count() == self.traffic.section_m.len(),
+            "traffic.section_m",
+            format!("{:?}: give lanes as 1 to {MAX_LANES}", self.traffic.section_m),
         )?;
         known(
             self.lane_table.presets.is_empty() || self.camera.watch,

@@ -3,7 +3,9 @@
 use crate::daemon::address::Address;
 use crate::daemon::serial::DEFAULT_BAUD;
 use crate::track::rate::DEFAULT_TOP_KMH;
+use crate::units::LaneId;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Where pictures come from.
@@ -175,11 +177,22 @@ pub struct Traffic {
     pub enabled: bool,
     /// Highest speed that is driven there, km/h: it decides how many pictures are needed.
     pub top_speed_kmh: f32,
+    /// Where vehicles are counted: for a lane's number, the distance from its upstream end, m. Its
+    /// middle where nothing stands.
+    pub section_m: BTreeMap<String, f32>,
+}
+
+impl Traffic {
+    /// The sections of lanes that can be.
+    pub fn sections(&self) -> impl Iterator<Item = (LaneId, f32)> {
+        let lane = |number: &String| number.parse().ok().and_then(LaneId::new);
+        self.section_m.iter().filter_map(move |(number, &m)| Some((lane(number)?, m)))
+    }
 }
 
 impl Default for Traffic {
     fn default() -> Self {
-        Self { enabled: true, top_speed_kmh: DEFAULT_TOP_KMH }
+        Self { enabled: true, top_speed_kmh: DEFAULT_TOP_KMH, section_m: BTreeMap::new() }
     }
 }
 

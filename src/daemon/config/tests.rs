@@ -31,6 +31,7 @@ fn the_example_is_right_and_shows_the_defaults() {
         (config.mqtt.certificate_file, config.mqtt.key_file) = (None, None);
         (config.model.score, config.lane_table.audit) = (None, None);
         config.metrics.file = None;
+        config.traffic.section_m.clear();
         (config.serial.device, config.serial.window_s) = (None, None);
         format!("{config:?}")
     };
@@ -120,6 +121,22 @@ fn a_configuration_that_everybody_may_write_is_refused() {
         if let Err(error) = read {
             assert!(error.to_string().contains("chmod o-w"), "{error}");
         }
+    }
+}
+
+#[test]
+fn sections_are_read_for_lanes_that_can_be() {
+    let with = |section: &str| {
+        let place = "#section_m = { 1 = 40.0 }";
+        assert!(EXAMPLE.contains(place));
+        parse(&EXAMPLE.replacen(place, &format!("section_m = {section}"), 1))
+    };
+    let config = with("{ 1 = 40.0, 3 = 12 }").expect("right");
+    let sections: Vec<_> = config.traffic.sections().map(|(lane, m)| (lane.get(), m)).collect();
+    assert_eq!(sections, [(1, 40.0), (3, 12.0)]);
+    for wrong in ["{ 9 = 40.0 }", "{ left = 40.0 }"] {
+        let error = with(wrong).expect_err(wrong);
+        assert!(error.contains("traffic.section_m") && error.contains("1 to 8"), "{error}");
     }
 }
 

@@ -9,7 +9,7 @@ const EXAMPLE: &str = include_str!("../../../boards/linux/verge.toml");
 
 /// Keys that the example shows by a value which is not their default.
 #[cfg(test)]
-pub(super) const NO_DEFAULT: [&str; 25] = [
+pub(super) const NO_DEFAULT: [&str; 26] = [
     "site.id",
     "site.name",
     "site.road",
@@ -24,6 +24,7 @@ pub(super) const NO_DEFAULT: [&str; 25] = [
     "camera.fingerprint",
     "model.score",
     "lane_table.audit",
+    "traffic.section_m",
     "mqtt.tls",
     "mqtt.ca_file",
     "mqtt.certificate_file",

@@ -72,7 +72,14 @@ fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
     });
     if let Some(line) = &mut line {
         report.line("net", line.describe_net(), String::clone);
-        report.line("traffic", Ok::<_, Failure>(line.following()), ToString::to_string);
+        report.line("traffic", Ok::<_, Failure>(line.following()), |following| {
+            let needs = line.needs(config.traffic.top_speed_kmh);
+            if config.traffic.enabled {
+                format!("{following} ({needs})")
+            } else {
+                following.to_string()
+            }
+        });
     }
     let picture = first_picture(&config, line.as_ref()).and_then(|(source, frame)| {
         source.settle(KEYS);

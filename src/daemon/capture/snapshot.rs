@@ -19,6 +19,9 @@ const CHUNK: usize = 16 << 10;
 /// Silence after which a whole picture counts, though more was announced.
 const QUIET: Duration = Duration::from_millis(500);
 
+/// Types of a stream of JPEGs without parts. Other video is named by what it is.
+const MOTION_JPEG: [&str; 3] = ["video/x-motion-jpeg", "video/mjpeg", "video/x-mjpeg"];
+
 /// A camera that is asked for its picture again and again.
 #[derive(Debug)]
 pub struct Snapshot {
@@ -98,7 +101,7 @@ impl Snapshot {
             return Ok(None);
         }
         let content_type = head.content_type();
-        if content_type.starts_with("multipart/") || content_type.starts_with("video/") {
+        if content_type.starts_with("multipart/") || MOTION_JPEG.contains(&content_type.as_str()) {
             return Err(at(Fault::IsStream));
         }
         let rest = self.settings.timeout.saturating_sub(begun.elapsed());
@@ -156,7 +159,11 @@ fn read_picture(body: &mut Body, bytes: &mut Vec<u8>) -> Result<(), Fault> {
                 }
                 if bytes.len() > MAX_PICTURE_BYTES {
                     let is_stream = scan::is_whole(bytes);
-                    return Err(if is_stream { Fault::IsStream } else { Fault::TooLarge });
+                    return Err(match foreign(bytes) {
+                        _ if is_stream => Fault::IsStream,
+                        Some(fault) if kind::video(bytes).is_some() => fault,
+                        _ => Fault::TooLarge,
+                    });
                 }
             }
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
@@ -170,11 +177,20 @@ fn read_picture(body: &mut Body, bytes: &mut Vec<u8>) -> Result<(), Fault> {
                     // It goes on and on behind a whole picture.
                     Fault::Timeout { .. } if whole => Err(Fault::IsStream),
                     _ if whole => Ok(()),
+                    // What never ends and is no picture.
+                    fault @ Fault::Timeout { .. } => Err(foreign(bytes).unwrap_or(fault)),
                     fault => Err(fault),
                 };
             }
         }
     }
+}
+
+/// What came, where it is no picture.
+fn foreign(bytes: &[u8]) -> Option<Fault> {
+    let picture = kind::trimmed(bytes);
+    let is_one = picture.is_empty() || kind::Kind::of(picture).is_some();
+    (!is_one).then(|| Fault::NoPicture(kind::described(picture)))
 }
 
 /// Unpacks a body that came packed though nobody asked for it.

@@ -61,13 +61,24 @@ impl Login {
         let (Some(client), Some(credentials)) = (&mut self.client, &self.credentials) else {
             return None;
         };
-        let parameters = PasswordParams {
+        let mut parameters = PasswordParams {
             username: &credentials.user,
             password: &credentials.password,
             uri,
             method,
-            body: Some(&[]),
+            body: None,
         };
+        // Without a body `auth` is answered wherever it is offered: cameras that offer `auth-int` too
+        // get it wrong.
+        if let Ok(answer) = client.respond(&parameters) {
+            return Some(answer);
+        }
+        // The crate (0.1.10) takes for the body what RFC 7616, section 3.4.3, has as its hash.
+        let hash = match client {
+            PasswordClient::Digest(digest) => empty_hash(&format!("{:?}", digest.algorithm())),
+            _ => return None,
+        };
+        parameters.body = Some(hash.as_bytes());
         client.respond(&parameters).ok()
     }
 
@@ -130,17 +141,85 @@ impl Login {
     }
 }
 
+/// The hash of a request without a body.
+fn empty_hash(algorithm: &str) -> &'static str {
+    match algorithm {
+        "Md5" => "d41d8cd98f00b204e9800998ecf8427e",
+        "Sha256" => "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855",
+        _ => "c672b8d1ef56ed28ab87c3622c5114069bdd3ad7b8f9737498d0c01ecef0967a",
+    }
+}
+
+/// A challenge as the standard writes it: cameras write the algorithm in small letters or without its
+/// dash, an empty `qop`, no realm, and no commas between parameters.
+fn standard(challenge: &str) -> String {
+    const ALGORITHMS: [&str; 6] =
+        ["MD5", "MD5-sess", "SHA-256", "SHA-256-sess", "SHA-512-256", "SHA-512-256-sess"];
+    let bare = |text: &str| text.to_ascii_lowercase().replace(['-', '_', '"'], "");
+    // Parts between blanks and commas, outside of quotes.
+    let (mut parts, mut is_quoted, mut is_escaped) = (vec![String::new()], false, false);
+    for character in challenge.chars() {
+        match character {
+            _ if is_escaped => is_escaped = false,
+            '\\' if is_quoted => is_escaped = true,
+            '"' => is_quoted = !is_quoted,
+            _ => {}
+        }
+        if !is_quoted && (character.is_ascii_whitespace() || character == ',') {
+            parts.push(String::new());
+        } else if let Some(part) = parts.last_mut() {
+            part.push(character);
+        }
+    }
+    let (mut out, mut in_digest, mut has_realm) = (String::new(), false, true);
+    let close = |out: &mut String, in_digest: bool, has_realm: bool| {
+        if in_digest && !has_realm {
+            out.push_str(", realm=\"\"");
+        }
+    };
+    for part in parts.iter().filter(|part| !part.is_empty()) {
+        let Some((name, value)) = part.split_once('=').filter(|(name, _)| !name.is_empty()) else {
+            close(&mut out, in_digest, has_realm);
+            let is_first = out.is_empty();
+            out.push_str(if is_first { "" } else { ", " });
+            out.push_str(part);
+            (in_digest, has_realm) = (part.eq_ignore_ascii_case("digest"), false);
+            continue;
+        };
+        let value = match name.to_ascii_lowercase().as_str() {
+            "algorithm" => {
+                let known = ALGORITHMS.iter().find(|known| bare(known) == bare(value));
+                known.map_or(value, |known| known)
+            }
+            "qop" if bare(value).trim().is_empty() => continue,
+            _ => value,
+        };
+        has_realm |= name.eq_ignore_ascii_case("realm");
+        let behind_scheme = out.ends_with(|last: char| last.is_ascii_alphabetic())
+            && out.rsplit([' ', ',']).next().is_some_and(|last| !last.contains('='));
+        out.push_str(if behind_scheme { " " } else { ", " });
+        out.push_str(&format!("{name}={value}"));
+    }
+    close(&mut out, in_digest, has_realm);
+    out
+}
+
 /// The strongest challenge that can be answered: Digest by SHA-256, Digest by MD5, Basic. Basic
 /// does not count where Digest is offered in a form that cannot be read.
 fn read_challenges<'a>(values: impl Iterator<Item = &'a str>) -> Result<PasswordClient, Fault> {
     let (mut best, mut offers): (Option<(u8, PasswordClient)>, Vec<String>) = (None, Vec::new());
     let mut digest_offered = false;
     for value in values {
-        // Some cameras end the list with a comma.
-        let value = value.trim().trim_end_matches([',', ';', ' ']);
+        let value = standard(value.trim_end_matches([',', ';', ' ']));
+        let value = value.as_str();
         digest_offered |= value.to_ascii_lowercase().contains("digest ");
         for challenge in ChallengeParser::new(value).map_while(Result::ok) {
-            offers.push(shown(challenge.scheme));
+            let of = |name: &str| {
+                let value =
+                    challenge.params.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
+                value.map(|(_, value)| format!(" {}", value.to_unescaped())).unwrap_or_default()
+            };
+            offers.push(shown(&format!("{}{}{}", challenge.scheme, of("algorithm"), of("qop"))));
             let Ok(client) = PasswordClient::builder().challenge(&challenge).build() else {
                 continue;
             };
@@ -156,7 +235,9 @@ fn read_challenges<'a>(values: impl Iterator<Item = &'a str>) -> Result<Password
             }
         }
         if offers.is_empty() {
-            offers.push(shown(value));
+            // The crate reads ASCII alone.
+            let hint = "its realm, the camera's name, has letters beyond ASCII: rename the camera";
+            offers.push(if value.is_ascii() { shown(value) } else { hint.to_owned() });
         }
     }
     match best {
@@ -225,6 +306,31 @@ mod tests {
         let stale = MD5.replace("qop", "stale=true, qop");
         login.challenged(&head(MD5), false, true).expect("asked");
         login.challenged(&head(&stale), true, true).expect("stale is not a refusal");
+    }
+
+    #[test]
+    fn challenges_as_cameras_write_them() {
+        for (written, starts) in [
+            ("Digest realm=\"c\", nonce=\"n\", qop=\"auth-int,auth\"", "qop=auth,"),
+            ("Digest realm=\"c\", nonce=\"n\", qop=\"auth-int\"", "qop=auth-int,"),
+            ("digest realm=\"c\",nonce=\"n\",algorithm=md5", "Digest username"),
+            (
+                "Digest realm=\"c\", nonce=\"n\", algorithm=\"sha256\", qop=auth",
+                "algorithm=SHA-256",
+            ),
+            ("Digest realm=\"c\", nonce=\"n\", qop=\"\"", "Digest username"),
+            ("Digest nonce=\"n\", qop=\"auth\"", "realm=\"\""),
+            ("Digest realm=\"c d, e=f\" nonce=\"n\" qop=\"auth\"", "realm=\"c d, e=f\""),
+            ("Digest realm=c, nonce=n, qop=auth", "nonce=\"n\""),
+            ("Negotiate, Digest realm=\"\\\"c\\\"\", nonce=\"n\",, ", "realm=\"\\\"c\\\"\""),
+            ("Basic realm=\"x\", Digest realm=\"c\", nonce=\"n\"", "Digest username"),
+        ] {
+            let mut login = login();
+            let head = head(&format!("WWW-Authenticate: {written}\r\n"));
+            login.challenged(&head, false, false).expect(written);
+            let answer = login.answer("GET", "/").expect(written);
+            assert!(answer.contains(starts), "{written}: {answer}");
+        }
     }
 
     #[test]

@@ -46,6 +46,11 @@ pub fn described(bytes: &[u8]) -> String {
     if bytes.is_empty() {
         return "the answer is empty (0 bytes)".to_owned();
     }
+    if let Some(format) = video(bytes) {
+        return format!(
+            "{format} in place of a picture: give the camera's rtsp:// address, or that of its JPEG"
+        );
+    }
     if let Some(format) = other_format(bytes) {
         return format!(
             "{format}: verge reads JPEG and PNG; set the camera, or its address, to JPEG"
@@ -66,6 +71,11 @@ pub fn described(bytes: &[u8]) -> String {
     }
     let is_text =
         bytes.iter().take(LOOKED_AT).all(|byte| *byte >= b' ' || byte.is_ascii_whitespace());
+    if is_text && (text.starts_with("/9j/") || small.starts_with("data:image/")) {
+        return "a picture written as text (base64): verge reads pictures as they are; has the camera an \
+                address for them?"
+            .to_owned();
+    }
     if is_text {
         return format!("text in place of a picture ({:?}): {login}", cut(text));
     }
@@ -87,19 +97,30 @@ fn other_format(bytes: &[u8]) -> Option<&'static str> {
         [b'G', b'I', b'F', b'8', ..] => "a GIF picture",
         [b'B', b'M', _, _, _, _, 0, 0, 0, 0, ..] => "a BMP picture",
         [b'R', b'I', b'F', b'F', ..] if brand == b"WEBP" => "a WebP picture",
-        [b'R', b'I', b'F', b'F', ..] if brand == b"AVI " => "an AVI video",
         [b'I', b'I', b'*', 0, ..] | [b'M', b'M', 0, b'*', ..] => "a TIFF picture",
         [_, _, _, _, b'f', b't', b'y', b'p', ..] => match brand {
             b"avif" | b"avis" => "an AVIF picture",
             b"heic" | b"heix" | b"mif1" | b"hevc" | b"msf1" => "a HEIF picture",
-            _ => "an MP4 video",
+            _ => return None,
         },
         [0, 0, 0, 12, b'j', b'P', ..] | [0xff, 0x4f, 0xff, 0x51, ..] => "a JPEG 2000 picture",
         [0, 0, 0, 12, b'J', b'X', ..] | [0xff, 0x0a, ..] => "a JPEG XL picture",
         [0x1f, 0x8b, ..] => "gzip",
+        _ => return None,
+    })
+}
+
+/// Which video these bytes are.
+pub fn video(bytes: &[u8]) -> Option<&'static str> {
+    let brand = bytes.get(8..12).unwrap_or_default();
+    Some(match bytes {
+        [b'R', b'I', b'F', b'F', ..] if brand == b"AVI " => "an AVI video",
+        [_, _, _, _, b'f', b't', b'y', b'p', ..] if other_format(bytes).is_none() => "an MP4 video",
         [0, 0, 1, ..] | [0, 0, 0, 1, ..] => "raw video (H.264 or H.265)",
         [b'F', b'L', b'V', ..] => "a Flash video",
         [0x1a, 0x45, 0xdf, 0xa3, ..] => "a Matroska video",
+        // MPEG-TS: packets of 188 bytes.
+        [0x47, ..] if bytes.get(188) == Some(&0x47) => "a video (MPEG transport stream)",
         _ if bytes.starts_with(b"#EXTM3U") => "an HLS playlist",
         _ => return None,
     })
@@ -142,7 +163,12 @@ mod tests {
             (b"BM\x36\x10\x0e\0\0\0\0\0", "a BMP picture"),
             (b"RIFF\0\0\0\0WEBPVP8 ", "a WebP picture"),
             (b"\0\0\0\x18ftypavif", "an AVIF picture"),
-            (b"\0\0\0\x18ftypisom", "an MP4 video"),
+            (
+                b"\0\0\0\x18ftypisom",
+                "an MP4 video in place of a picture: give the camera's rtsp://",
+            ),
+            (b"\0\0\0\x01\x67\x42", "raw video (H.264 or H.265) in place"),
+            (b"/9j/4AAQSkZJRgABAQ", "base64"),
             (
                 b"<!DOCTYPE html><html><title>Login</title><p>now",
                 "an HTML page in place of a picture (\"Login now\")",

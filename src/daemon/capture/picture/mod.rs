@@ -280,10 +280,11 @@ fn check(
     }
 }
 
-/// Turns a picture upright and makes it smaller where it is too large.
+/// Makes a picture smaller where it is too large, and turns it upright: in this order, for to turn
+/// it takes a second picture.
 fn finish(picture: &mut Picture, orientation: u8) {
-    turn(picture, orientation);
     reduce(picture);
+    turn(picture, orientation);
 }
 
 /// Turns a picture as EXIF says that it is to be shown (Exif 2.32, section 4.6.4, tag 0x0112).

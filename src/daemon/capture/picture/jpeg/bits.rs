@@ -132,7 +132,8 @@ impl<'a> Bits<'a> {
         Some(())
     }
 
+    /// Whether nothing is left but padding and the bytes that may stand in front of a marker (B.1.1.2).
     pub fn is_over(&mut self) -> bool {
-        self.is_at_marker() && self.at >= self.bytes.len()
+        self.is_at_marker() && self.bytes[self.at..].iter().all(|&byte| byte == 0xff)
     }
 }

@@ -46,6 +46,16 @@ fn a_picture_with_a_part_missing_is_damaged_though_it_has_its_end() {
 }
 
 #[test]
+fn fill_bytes_may_stand_in_front_of_any_marker() {
+    let whole = jpeg(160, 120);
+    let (before, end) = whole.split_at(whole.len() - 2);
+    for fill in [1, 2, 5] {
+        let bytes = [before, &vec![0xff; fill], end].concat();
+        decode(&bytes, &mut Picture::default()).unwrap_or_else(|error| panic!("{fill}: {error}"));
+    }
+}
+
+#[test]
 fn a_hole_in_the_coded_data_is_noticed() {
     let whole = jpeg(160, 120);
     let (from, to) = (coded(&whole), whole.len() - 2);

@@ -68,3 +68,218 @@ fn what_run_could_not_write_or_send_fails() {
     }
     assert!(common::stderr(&output).contains("3 of"), "{}", common::stderr(&output));
 }
+
+/// A case in which `run` delivers no density, with what `check` says of it.
+struct Case {
+    /// As it stands in docs/reference/check.md.
+    name: &'static str,
+    /// Sent to each request of the camera.
+    camera: Camera,
+    broker: Manners,
+    /// Where in the report it fails, and in which words.
+    part: &'static str,
+    words: &'static str,
+}
+
+/// What a camera does.
+#[derive(Clone)]
+enum Camera {
+    /// These pictures, one after the other.
+    Pictures(Vec<Vec<u8>>),
+    /// The same answer each time.
+    Answers(Vec<u8>),
+    /// Nobody is there.
+    Closed,
+}
+
+fn case(name: &'static str, camera: Camera, part: &'static str, words: &'static str) -> Case {
+    Case { name, camera, broker: Manners::default(), part, words }
+}
+
+/// With `VERGE_LONG=1` `run` is tried too, which takes half a minute a case.
+fn is_long() -> bool {
+    std::env::var_os("VERGE_LONG").is_some()
+}
+
+fn denied(name: &'static str, broker: Manners, words: &'static str) -> Case {
+    // What `check` says of a broker does not hang on the camera.
+    let camera = if is_long() { Camera::Pictures(street_pictures()) } else { Camera::Closed };
+    Case { name, camera, broker, part: "broker", words }
+}
+
+fn http(status: &str, kind: &str, body: &[u8]) -> Vec<u8> {
+    let head = format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
+        body.len()
+    );
+    [head.as_bytes(), body].concat()
+}
+
+fn answer(status: &str, kind: &str, body: &[u8]) -> Camera {
+    Camera::Answers(http(status, kind, body))
+}
+
+fn street_pictures() -> Vec<Vec<u8>> {
+    let mut files: Vec<_> = std::fs::read_dir(common::STREET_FRAMES)
+        .expect("it ships")
+        .map(|entry| entry.expect("an entry").path())
+        .collect();
+    files.sort();
+    files.iter().map(|file| std::fs::read(file).expect("it ships")).collect()
+}
+
+fn encoded(picture: &image::RgbImage) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 90);
+    encoder.encode_image(picture).expect("encoding to memory");
+    bytes
+}
+
+/// A picture of the street by a camera that was turned to the left: the scene stands 64 px further to
+/// the right.
+fn turned(picture: &[u8]) -> Vec<u8> {
+    let street = image::load_from_memory(picture).expect("a picture").into_rgb8();
+    let moved = image::RgbImage::from_fn(street.width(), street.height(), |u, v| {
+        *street.get_pixel((u + street.width() - 64) % street.width(), v)
+    });
+    encoded(&moved)
+}
+
+/// Serves a camera for as long as the test runs.
+fn serve(camera: Camera) -> u16 {
+    use std::io::{Read, Write};
+    let listener = std::net::TcpListener::bind((std::net::Ipv4Addr::LOCALHOST, 0)).expect("a port");
+    let port = listener.local_addr().expect("bound").port();
+    if matches!(camera, Camera::Closed) {
+        return port;
+    }
+    let answers = match camera {
+        Camera::Pictures(pictures) => {
+            pictures.iter().map(|one| http("200 OK", "image/jpeg", one)).collect()
+        }
+        Camera::Answers(answer) => vec![answer],
+        Camera::Closed => Vec::new(),
+    };
+    std::thread::spawn(move || {
+        for (number, stream) in listener.incoming().map_while(Result::ok).enumerate() {
+            let mut stream = stream;
+            let _ = stream.read(&mut [0; 4096]);
+            let _ = stream.write_all(&answers[number % answers.len()]);
+        }
+    });
+    port
+}
+
+fn cases() -> Vec<Case> {
+    let pictures = street_pictures();
+    let jpeg = |bytes: &[u8]| answer("200 OK", "image/jpeg", bytes);
+    let half = [&pictures[0][..pictures[0].len() / 2], b"\xff\xd9"].concat();
+    let grey = |level| encoded(&image::RgbImage::from_pixel(320, 240, image::Rgb([level; 3])));
+    let greys = (0..20).map(|step| grey(90 + 5 * step)).collect();
+    let away = pictures.iter().map(|picture| turned(picture)).collect();
+    let login =
+        b"HTTP/1.1 401 Unauthorized\r\nWWW-Authenticate: Digest realm=\"c\", nonce=\"n\"\r\n\r\n";
+    let v3 = || Manners { versions: vec![4], ..Manners::default() };
+    let v5 = Manners::default;
+    vec![
+        case("nobody answers", Camera::Closed, "camera", "refuses the connection"),
+        case("a web page", answer("200 OK", "text/html", b"<html>"), "camera", "login"),
+        case("another path", answer("404 Not Found", "", b""), "camera", "check the path"),
+        case("a login", Camera::Answers(login.to_vec()), "camera", "wants a login"),
+        case("half a picture", jpeg(&half), "camera", "damaged"),
+        case("another shape", jpeg(&common::jpeg(640, 360, 90)), "camera", "of its shape"),
+        case("one colour", Camera::Pictures(greys), "measurement", "blank_picture"),
+        case("a turned camera", Camera::Pictures(away), "measurement", "to the right"),
+        denied("a wrong password", Manners { refuses: Some(5), ..v3() }, "refuses"),
+        denied("a topic denied", Manners { reason: Some(("density/", 0x87)), ..v5() }, "allow"),
+        denied("dropped in silence", Manners { drops: Some("density/"), ..v3() }, "throws it away"),
+        denied("nobody subscribes", Manners { reason: Some(("density/", 0x10)), ..v5() }, "nobody"),
+        denied("closed on a topic", Manners { closes_on: Some("density/"), ..v5() }, "closes"),
+        denied("never acknowledged", Manners { ignores: Some("density/"), ..v5() }, "acknowledge"),
+    ]
+}
+
+/// Windows with a density that arrived.
+fn densities(broker: &FakeBroker) -> usize {
+    let number = |payload: &[u8]| {
+        let text = String::from_utf8_lossy(payload);
+        text.split("\"density_veh_km\":")
+            .skip(1)
+            .any(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))
+    };
+    broker.seen(|seen| {
+        seen.taken
+            .iter()
+            .filter(|(topic, payload)| topic.contains("density/") && number(payload))
+            .count()
+    })
+}
+
+#[test]
+fn where_run_delivers_no_density_check_fails_and_says_why() {
+    let cases = cases();
+    for some in cases.chunks(5) {
+        std::thread::scope(|scope| {
+            for case in some {
+                scope.spawn(|| try_case(case));
+            }
+        });
+    }
+}
+
+fn try_case(case: &Case) {
+    let (name, folder) = (case.name, common::folder());
+    let broker = FakeBroker::start(case.broker.clone());
+    let port = serve(case.camera.clone());
+    let file = configuration(folder.path(), broker.port, "user = \"box7\"\n");
+    let text = std::fs::read_to_string(&file).expect("just written");
+    let lines = text.lines().filter(|line| !line.starts_with("watch")).map(|line| {
+        let is_source = line.starts_with("source");
+        let there = format!("source = \"http://127.0.0.1:{port}/\"\ntimeout_s = 3");
+        if is_source { there } else { line.to_owned() }
+    });
+    std::fs::write(&file, lines.collect::<Vec<_>>().join("\n")).expect("written");
+    let (output, said) = check(&file);
+    assert!(!output.status.success(), "{name}: {said}");
+    let failed = said.lines().find(|line| line.starts_with(&format!("FAIL  {}:", case.part)));
+    assert!(failed.is_some_and(|line| line.contains(case.words)), "{name}: {said}");
+    if !is_long() {
+        return;
+    }
+    let mut running = std::process::Command::new(env!("CARGO_BIN_EXE_verge"))
+        .args(["run", "--config", &file])
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .expect("it starts");
+    std::thread::sleep(std::time::Duration::from_secs(30));
+    running.kill().and_then(|()| running.wait()).expect("ours");
+    assert_eq!(densities(&broker), 0, "{name}: {:?}", broker.seen(|seen| seen.came.clone()));
+}
+
+#[test]
+fn who_turns_the_camera_is_told_how_far_and_which_way() {
+    let (folder, pictures) = (common::folder(), street_pictures());
+    let there = folder.path().join("frames");
+    std::fs::create_dir(&there).expect("made");
+    // Turned away first, then in place.
+    for (second, picture) in pictures.iter().take(13).enumerate() {
+        let bytes = if second < 2 { turned(picture) } else { picture.clone() };
+        std::fs::write(there.join(format!("20260105T0800{second:02}Z.jpg")), bytes)
+            .expect("written");
+    }
+    let file = configuration(folder.path(), 1, "");
+    let text = std::fs::read_to_string(&file).expect("just written");
+    let text = text.replace("watch = false\n", "").replace("interval_s = 1", "interval_s = 0.1");
+    let here = std::env::current_dir().expect("a working directory");
+    let text = text.replace(
+        &format!("{}/{}", here.display(), common::STREET_FRAMES),
+        there.to_str().expect("UTF-8"),
+    );
+    std::fs::write(&file, text).expect("written");
+    let output = common::verge(&["check", "--aim", "--config", &file]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{said}{}", common::stderr(&output));
+    let away = "The scene stands 64 px to the right and 0 px down: turn the camera to the right";
+    assert!(said.contains(away), "{said}");
+    assert!(said.contains(": in place") && said.ends_with("where it was calibrated\n"), "{said}");
+}

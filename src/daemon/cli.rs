@@ -41,6 +41,10 @@ enum Command {
         /// Also draw the present picture with lanes, boxes, contact points and counts
         #[arg(long, value_name = "FILE.png")]
         overlay: Option<PathBuf>,
+        /// For whoever turns the camera: print each second how far it is off and which way to turn
+        /// it, until it stands in place; nothing else is tried
+        #[arg(long, conflicts_with_all = ["after_update", "overlay"])]
+        aim: bool,
     },
     /// Show what the sensor sees on a page of this machine, which changes nothing
     ///
@@ -101,7 +105,8 @@ where
         .init();
     match cli.command {
         Command::Run { config } => commands::run::run(&config, board),
-        Command::Check { config, after_update, overlay } => {
+        Command::Check { config, aim: true, .. } => commands::check::aim::run(&config),
+        Command::Check { config, after_update, overlay, .. } => {
             commands::check::run(&config, after_update, overlay.as_deref())
         }
         Command::View { config, port } => commands::view::run(&config, port),

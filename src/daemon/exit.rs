@@ -12,6 +12,7 @@ use super::output::WriteError;
 use super::publish::TlsError;
 use super::spool::SpoolError;
 use crate::density::AggregateError;
+use std::borrow::Cow;
 use std::path::PathBuf;
 use verge_desk::Exit;
 use verge_desk::sysexits::{CANTCREAT, CONFIG, DATAERR, NOINPUT, SOFTWARE, UNAVAILABLE};
@@ -80,8 +81,14 @@ pub enum Failure {
         /// What windows would say.
         status: &'static str,
         /// What to do.
-        hint: &'static str,
+        hint: Cow<'static, str>,
     },
+    /// The camera's aim is not checked.
+    #[error(
+        "there is nothing to aim by: the lane table has no reference of the scene (make it with \
+         `mvcalib table --reference FRAMES`), or camera.watch is false"
+    )]
+    NothingToAimBy,
     /// Pictures come so seldom that windows would have no density.
     #[error("{0}")]
     Pace(String),
@@ -118,6 +125,14 @@ pub enum Failure {
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,
+    },
+    /// An input file in a form that is not read.
+    #[error("{}: it is {what}", path.display())]
+    InputForm {
+        /// The file.
+        path: PathBuf,
+        /// What it is, and what to do.
+        what: &'static str,
     },
     /// Messages that could not be converted.
     #[error("{bad} of {count} messages could not be read; the others are converted")]
@@ -209,6 +224,7 @@ impl Exit for Failure {
             Self::Capture(CaptureError::Read { .. }) => NOINPUT,
             Self::Capture(CaptureError::Decode { .. }) => DATAERR,
             Self::NothingMeasured { .. } | Self::Withheld { .. } | Self::Pace(_) => DATAERR,
+            Self::NothingToAimBy => CONFIG,
             Self::Device(DeviceError::NotBuilt { .. }) => CONFIG,
             Self::Capture(_) => UNAVAILABLE,
             Self::Device(_) | Self::OnnxRuntime(_) | Self::Page(_) => UNAVAILABLE,
@@ -223,6 +239,7 @@ impl Exit for Failure {
             Self::Site(_) | Self::Answers(_) | Self::Audit(_) => DATAERR,
             Self::CountedFrame { .. } | Self::NoCounting => DATAERR,
             Self::Messages { .. } | Self::NodeSettings { .. } => DATAERR,
+            Self::InputForm { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
             Self::Write { .. } | Self::Unwritable { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,

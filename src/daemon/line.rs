@@ -20,6 +20,7 @@ use super::presets::{Following, Preset, Presets, WindowSettings};
 use super::road_file::Road;
 use super::scene::{Scene, View};
 use super::vehicles::Vehicles;
+use crate::alarm::Alarm;
 use crate::density::{Counting, Errors, FrameCounts};
 use crate::evidence::CarSize;
 use crate::picture::Light;
@@ -182,6 +183,20 @@ impl Line {
         Ok(counts)
     }
 
+    /// Looks where the camera looks in this frame, for [`Self::scene`] to tell; the net does not run.
+    /// Returns what keeps the picture from being judged, or nothing.
+    ///
+    /// # Errors
+    /// [`Failure::Locate`] for a picture of another shape.
+    pub fn aim(&mut self, frame: &Frame) -> Result<&'static str, Failure> {
+        self.presets.check_size((frame.picture.width, frame.picture.height))?;
+        let view = self.scene.as_mut().map(|scene| scene.judge(&frame.picture, frame.time));
+        Ok(match view {
+            Some(View::Withheld(alarm)) if alarm != Alarm::CameraMoved => alarm.name(),
+            _ => "",
+        })
+    }
+
     /// Fills `found` with what the net finds, where the picture is fit to be measured.
     fn search(&mut self, frame: &Frame, observe: Observer<'_>) -> Result<Searched, Failure> {
         let (picture, size) = (&frame.picture, (frame.picture.width, frame.picture.height));
@@ -308,13 +323,18 @@ impl Line {
             .map_or("not stated".to_owned(), |error| format!("{:.1} %", error * 100.0));
         (
             format!(
-                "{} at {}x{} px, over {}",
+                "{} ({}) at {}x{} px, over {}",
                 model.name,
+                self.file.display(),
                 model.input.width_px,
                 model.input.height_px,
                 self.parts()
             ),
-            format!("{lanes} lanes of {id}, {}, length error {error}", table.image_size),
+            format!(
+                "{lanes} lanes of {id} ({}), {}, length error {error}",
+                self.preset().file().display(),
+                table.image_size
+            ),
         )
     }
 

@@ -159,6 +159,11 @@ impl Locator {
         Ok(scene)
     }
 
+    /// The file that it was read from.
+    pub fn file(&self) -> &Path {
+        &self.path
+    }
+
     /// What the table says about itself.
     pub fn description(&self) -> &Description {
         self.table.description()

@@ -137,6 +137,11 @@ impl Preset {
         self.locator.sha256()
     }
 
+    /// The lane table's file.
+    pub fn file(&self) -> &Path {
+        self.locator.file()
+    }
+
     /// Where a point of the table's picture lies on the road.
     pub fn place(&self, point: ImagePoint) -> Option<Place> {
         self.locator.place(point)

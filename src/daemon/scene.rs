@@ -5,10 +5,13 @@
 //! ([`crate::picture`], [`crate::scene`]). After the first picture nothing is allocated.
 
 use super::frame::{Detection, Picture, PixelBox};
+use super::offset::Offset;
 use super::road_file::Road;
 use crate::alarm::Alarm;
 use crate::picture::{Before, Light, Look};
-use crate::scene::{Aim, Cell, EmptyRoad, Eye, Grid, Guard, Judgement, MeanCell, Reference};
+use crate::scene::{
+    Aim, Cell, EmptyRoad, Eye, Grid, Guard, Judgement, MeanCell, Reference, search_wide,
+};
 use crate::units::{ImagePoint, UtcMs};
 use std::time::Duration;
 
@@ -188,7 +191,7 @@ impl Scene {
         let was = self.guard.aim();
         let Judgement { aim, shift } = self.guard.judge(&self.references, eye, now);
         if was != aim {
-            say(was, aim);
+            say(was, aim, offset(&self.references, eye));
         }
         let px = grid.cell_px();
         self.shift = shift.map(|(dx, dy)| ImagePoint { u: dx * px, v: dy * px });
@@ -296,6 +299,13 @@ impl Scene {
         self.shift
     }
 
+    /// How far the latest picture stands off the place where the camera was calibrated, searched
+    /// for within half of the picture; `None` where the calibrated scene is not in it.
+    pub fn offset(&self) -> Option<Offset> {
+        let eye = &self.buffers.as_ref()?.eye;
+        if self.is_checked(eye.grid()) { offset(&self.references, eye) } else { None }
+    }
+
     /// Whether every preset can be looked for in pictures of this grid.
     fn is_checked(&self, grid: Grid) -> bool {
         !self.references.is_empty() && self.references.iter().all(|r| r.fits(grid))
@@ -315,13 +325,23 @@ impl Scene {
     }
 }
 
-fn say(was: Aim, is: Aim) {
+/// How far the reference that fits best stands off its place; `None` where none is found.
+fn offset(references: &[Reference], eye: &Eye<Vec<u8>, Vec<Cell>>) -> Option<Offset> {
+    let sightings = references.iter().map(|reference| search_wide(reference, eye));
+    let best = sightings.max_by(|a, b| a.significance.total_cmp(&b.significance))?;
+    best.is_sure().then(|| Offset::of(best.pose, eye.grid()))
+}
+
+fn say(was: Aim, is: Aim, offset: Option<Offset>) {
     match is {
         Aim::Preset(preset) if was != Aim::Unknown => {
             log::info!("the camera looks at preset {} again", preset + 1);
         }
         Aim::Preset(preset) => log::info!("the camera looks at preset {}", preset + 1),
-        Aim::Moved => log::warn!("the camera has moved: no density until it is back"),
+        Aim::Moved => log::warn!(
+            "the camera has moved: no density until it is back. {}",
+            Offset::words(offset.as_ref())
+        ),
         Aim::Unknown => {}
     }
 }

@@ -43,6 +43,18 @@ impl Station {
         Ok(self.source.next(&mut self.frame)? == Captured::New)
     }
 
+    /// Takes a picture and looks where the camera looks, without measuring. `None`: the picture before
+    /// again; else what keeps it from being judged, empty where nothing does.
+    ///
+    /// # Errors
+    /// As [`Self::capture`], and where the picture does not fit the table.
+    pub fn aim(&mut self) -> Result<Option<&'static str>, Failure> {
+        if !self.capture()? {
+            return Ok(None);
+        }
+        self.line.aim(&self.frame).map(Some)
+    }
+
     /// Asks each `interval`, for at most `limit`, until it is known how often the camera has a new
     /// picture; false where it never had one.
     ///

@@ -18,9 +18,10 @@ pub use guard::Guard;
 pub use reference::{
     BLOCKS, FINE_POINTS, LEAST_POINTS, MAX_REFERENCE, Point, Reference, ReferenceError,
 };
-pub use search::{Pose, SURE, SURE_SUPPORT, Sighting, search};
+pub use search::{Pose, SURE, SURE_SUPPORT, Sighting, search, search_wide};
 pub use watch::{
     Aim, Evidence, Judgement, RECENT, SPACING, TO_MOVE, TOLERANCE, TURN_TOLERANCE, Watch,
+    is_in_place,
 };
 
 /// A picture on the working grid, with its fields. `L` and `C` are the buffers: vectors in

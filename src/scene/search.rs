@@ -16,6 +16,8 @@ use super::reference::{BLOCK_COLUMNS, BLOCK_ROWS, BLOCKS, Point, Reference};
 
 /// Shifts that are searched at half resolution, cells of it: a tenth of the longer side.
 const REACH: i32 = 16;
+/// The same where a camera is being turned back: half of the longer side.
+const WIDE: i32 = 80;
 /// Turns (rad) and zooms at which the coarse search is made once more where the plain one
 /// finds nothing.
 const TURNS: [f32; 3] = [-0.052, 0.0, 0.052];
@@ -83,13 +85,30 @@ pub const SURE: f32 = 8.5;
 /// Least support of a sighting that is believed; other cameras reach 0.25.
 pub const SURE_SUPPORT: f32 = 0.3;
 
-/// Searches a picture for the reference.
+/// Searches a picture for the reference, within a tenth of its longer side.
 pub fn search(
     reference: &Reference,
     eye: &Eye<impl AsRef<[u8]>, impl AsRef<[super::Cell]>>,
 ) -> Sighting {
+    search_within(reference, eye, REACH)
+}
+
+/// The same within half of the picture's longer side: 25 times the work, for a camera that
+/// someone is turning.
+pub fn search_wide(
+    reference: &Reference,
+    eye: &Eye<impl AsRef<[u8]>, impl AsRef<[super::Cell]>>,
+) -> Sighting {
+    search_within(reference, eye, WIDE)
+}
+
+fn search_within(
+    reference: &Reference,
+    eye: &Eye<impl AsRef<[u8]>, impl AsRef<[super::Cell]>>,
+    reach: i32,
+) -> Sighting {
     let (fine, coarse) = (eye.fine(), eye.coarse());
-    let (start, _) = coarse_search(&reference.coarse, &coarse, 0.0, 1.0);
+    let (start, _) = coarse_search(&reference.coarse, &coarse, 0.0, 1.0, reach);
     let first = sighting(reference, &fine, start);
     if first.is_sure() {
         return first;
@@ -102,7 +121,7 @@ pub fn search(
             if turn == 0.0 && zoom == 1.0 {
                 continue;
             }
-            let found = coarse_search(&reference.coarse, &coarse, turn, zoom);
+            let found = coarse_search(&reference.coarse, &coarse, turn, zoom, reach);
             if found.1 > best.1 {
                 best = found;
             }
@@ -113,11 +132,17 @@ pub fn search(
 }
 
 /// The best shift at half resolution, as a pose of the full one, and its score.
-fn coarse_search(points: &[Point], field: &Field<'_>, turn: f32, zoom: f32) -> (Pose, i32) {
+fn coarse_search(
+    points: &[Point],
+    field: &Field<'_>,
+    turn: f32,
+    zoom: f32,
+    reach: i32,
+) -> (Pose, i32) {
     let mut best = (Pose { turn, zoom, ..Pose::SAME }, i32::MIN);
     let map = Map::of(Pose { turn, zoom, ..Pose::SAME }, field);
-    for dy in -REACH..=REACH {
-        for dx in -REACH..=REACH {
+    for dy in -reach..=reach {
+        for dx in -reach..=reach {
             let mut score = 0;
             for point in points {
                 let (x, y) = map.nearest(point);

@@ -58,12 +58,12 @@ impl Evidence {
         if !sighting.is_sure() {
             return Self::Unclear;
         }
-        let Pose { dx, dy, turn, zoom } = sighting.pose;
-        let reach = grid.width.max(grid.height) as f32 * TOLERANCE;
-        let in_place = dx * dx + dy * dy <= reach * reach
-            && turn.abs() <= TURN_TOLERANCE
-            && (zoom - 1.0).abs() <= ZOOM_TOLERANCE;
-        if in_place { Self::InPlace { preset, dx, dy } } else { Self::Displaced }
+        let Pose { dx, dy, .. } = sighting.pose;
+        if is_in_place(sighting.pose, grid) {
+            Self::InPlace { preset, dx, dy }
+        } else {
+            Self::Displaced
+        }
     }
 
     const fn preset(self) -> Option<usize> {
@@ -72,6 +72,14 @@ impl Evidence {
             _ => None,
         }
     }
+}
+
+/// Whether a scene that stands thus counts as in place.
+pub fn is_in_place(Pose { dx, dy, turn, zoom }: Pose, grid: Grid) -> bool {
+    let reach = grid.width.max(grid.height) as f32 * TOLERANCE;
+    dx * dx + dy * dy <= reach * reach
+        && turn.abs() <= TURN_TOLERANCE
+        && (zoom - 1.0).abs() <= ZOOM_TOLERANCE
 }
 
 /// Where the camera looks.

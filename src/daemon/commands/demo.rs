@@ -6,10 +6,11 @@
 use super::playback::{Played, play};
 use super::recording;
 use crate::daemon::assemble::open_recording;
-use crate::daemon::config::{DEFAULT_MODEL, found_model};
+use crate::daemon::config::DEFAULT_MODEL;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::LineSettings;
 use crate::daemon::outlet::Outlet;
+use crate::daemon::places;
 use crate::daemon::presets::WindowSettings;
 use crate::daemon::publish::loopback::{self, Subscriber};
 use crate::daemon::publish::{Format, Identity, MqttSettings};
@@ -28,7 +29,7 @@ const ROOT: &str = "verge/demo";
 pub fn run() -> Result<(), Failure> {
     let started = Instant::now();
     let recording = recording::find()?;
-    let model = found_model(Path::new(""), DEFAULT_MODEL.as_ref());
+    let model = places::find(Path::new(""), DEFAULT_MODEL.as_ref());
     let settings = LineSettings::recorded(recording.table.as_ref(), &model);
     let windows = WindowSettings::recorded(WINDOW);
     let (recorded, mut line, windows) =

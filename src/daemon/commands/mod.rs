@@ -20,7 +20,8 @@ pub mod run;
 mod text;
 pub mod view;
 
-use super::config::{DEFAULT_MODEL, NetInput, found_model};
+use super::config::{DEFAULT_MODEL, NetInput};
+use super::places;
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
@@ -28,7 +29,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 pub struct ModelArgs {
     /// Model (.onnx) or its sidecar (.toml)
-    #[arg(long, value_name = "FILE", default_value = DEFAULT_MODEL, value_parser = model_file)]
+    #[arg(long, value_name = "FILE", default_value = DEFAULT_MODEL, value_parser = file)]
     model: PathBuf,
     /// Least score that counts, 0 to 1 [default: the sidecar's]
     #[arg(long, value_name = "SCORE")]
@@ -38,6 +39,7 @@ pub struct ModelArgs {
     input: NetInput,
 }
 
-fn model_file(named: &str) -> Result<PathBuf, Infallible> {
-    Ok(found_model(Path::new(""), Path::new(named)))
+/// Where a model or a lane table lies.
+fn file(text: &str) -> Result<PathBuf, Infallible> {
+    Ok(places::find(Path::new(""), Path::new(text)))
 }

@@ -20,7 +20,7 @@ use std::time::Duration;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Lane table; given several times, one for each preset of the camera
-    #[arg(long, value_name = "FILE", required = true)]
+    #[arg(long, value_name = "FILE", required = true, value_parser = super::file)]
     table: Vec<PathBuf>,
     /// Folder of JPEG or PNG frames, or of folders by day, played in the order of their times
     #[arg(long, value_name = "DIR")]

@@ -156,7 +156,7 @@ fn measured(station: &mut Station) -> Result<Option<Option<String>>, Failure> {
     }
     let event = station.measure(&mut |_| ())?.event();
     Ok(Some(match event {
-        Some(Event::Withheld(alarm)) => Some(withheld(alarm).to_string()),
+        Some(Event::Withheld(alarm)) => Some(withheld(alarm, station.line()).to_string()),
         Some(Event::PassedOver) => {
             Some("this picture shows another scene than the lane table's".to_owned())
         }

@@ -11,10 +11,11 @@ mod signed;
 pub use super::site::Site;
 pub use sections::{
     Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Traffic,
-    Views, Windows, found_model,
+    Views, Windows,
 };
 
 use crate::daemon::address::{Address, AddressError, veiled};
+use crate::daemon::places;
 use crate::daemon::publish::TlsFiles;
 use crate::daemon::road_file;
 use crate::daemon::serial::SerialSettings;
@@ -119,13 +120,22 @@ pub struct Config {
 }
 
 impl Config {
-    /// Reads and checks a configuration. Relative paths in it count from its folder.
+    /// Reads and checks a configuration. Relative paths in it count from its folder; a model or a
+    /// lane table that is not there is looked for where [`places::find`] says.
     ///
     /// # Errors
     /// [`ConfigError`] names file, key and reason.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let unread = |source| ConfigError::Read { path: path.to_owned(), source };
-        let text = std::fs::read_to_string(path).map_err(unread)?;
+        let text = std::fs::read(path).map_err(unread)?;
+        let text = String::from_utf8(text).map_err(|error| {
+            let good = error.utf8_error().valid_up_to();
+            let line = 1 + error.as_bytes()[..good].iter().filter(|&&byte| byte == b'\n').count();
+            ConfigError::Parse {
+                path: path.to_owned(),
+                reason: format!("line {line} is not UTF-8: save the file as UTF-8"),
+            }
+        })?;
         let writable = writable_by_others(path).map_err(unread)?;
         if let Some(mode) = writable {
             return Err(ConfigError::Parse {
@@ -267,9 +277,10 @@ impl Config {
 
     fn resolve(&mut self, folder: &Path) {
         let absolute = |path: &mut PathBuf| *path = folder.join(&*path);
-        self.model.file = found_model(folder, &self.model.file);
-        absolute(&mut self.lane_table.file);
-        self.lane_table.presets.iter_mut().for_each(absolute);
+        let find = |path: &mut PathBuf| *path = places::find(folder, path);
+        find(&mut self.model.file);
+        find(&mut self.lane_table.file);
+        self.lane_table.presets.iter_mut().for_each(find);
         self.lane_table.audit.as_mut().map(absolute);
         // Where systemd gives a folder for state, it is meant for this.
         let state = std::env::var_os("STATE_DIRECTORY").map_or(folder.to_owned(), PathBuf::from);

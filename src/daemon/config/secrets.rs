@@ -43,6 +43,12 @@ pub(super) fn private(key: &'static str, path: &Path) -> Result<String, ConfigEr
     let text = std::fs::read_to_string(path).map_err(|error| {
         wrong(match error.kind() {
             std::io::ErrorKind::InvalidData => "is not UTF-8 text".to_owned(),
+            std::io::ErrorKind::PermissionDenied => {
+                "this user may not read it: chown it to the user \
+                that verge runs as (verge), or hand it over as a credential of the service"
+                    .to_owned()
+            }
+            std::io::ErrorKind::NotFound => "there is no such file".to_owned(),
             _ => error.to_string(),
         })
     })?;

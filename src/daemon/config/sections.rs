@@ -117,27 +117,8 @@ impl<'de> Deserialize<'de> for NetInput {
 }
 
 /// The model that is used when none is named, from the working directory; where it is not there,
-/// [`found_model`] looks where packages and builds have it.
+/// `places` looks where packages and builds have it.
 pub const DEFAULT_MODEL: &str = "models/verge_nanodet_640x480.toml";
-
-/// Where a model lies: as named, or, for [`DEFAULT_MODEL`], the first place that has it of
-/// `folder`, the package of this program (`../share/verge` from its folder), `/usr/share/verge`
-/// and the tree that it was built in (`../..`).
-pub fn found_model(folder: &Path, named: &Path) -> PathBuf {
-    let own = folder.join(named);
-    if named != Path::new(DEFAULT_MODEL) || own.exists() {
-        return own;
-    }
-    let program = std::env::current_exe().ok();
-    let beside = program.as_deref().and_then(Path::parent);
-    let places = [
-        beside.map(|folder| folder.join("../share/verge")),
-        Some(PathBuf::from("/usr/share/verge")),
-        beside.map(|folder| folder.join("../..")),
-    ];
-    let files = places.into_iter().flatten().map(|place| place.join(DEFAULT_MODEL));
-    files.into_iter().find(|file| file.exists()).unwrap_or(own)
-}
 
 /// Where lanes are.
 #[derive(Clone, Debug, Deserialize)]

@@ -36,6 +36,8 @@ pub struct Hands {
     /// Why the latest new configuration was refused.
     refused: Option<String>,
     health_due: bool,
+    /// Length of the longest windows, each of which gets a line in the log.
+    longest: Duration,
     /// Whether a certificate ends soon, as last reported.
     expiry_told: Option<bool>,
     /// Length of the shortest windows, and the largest difference of densities in the latest.
@@ -55,6 +57,7 @@ impl Hands {
             last_fault: None,
             refused: None,
             health_due: false,
+            longest: longest(config),
             expiry_told: None,
             difference: None,
         }
@@ -64,6 +67,9 @@ impl Hands {
     pub fn perform(&mut self, action: Action<'_>) {
         match action {
             Action::Window { window, clock_synced } => {
+                if window.report.to.saturating_since(window.report.from) == self.longest {
+                    log::info!("{}", report::in_words(window.report));
+                }
                 self.outlet.density(window, clock_synced);
                 self.note_difference(window.report);
                 if let Some(metrics) = &mut self.metrics {
@@ -207,6 +213,7 @@ impl Hands {
             self.metrics = config.metrics.file.as_deref().map(Metrics::new);
         }
         self.announcements = announcements(config, line);
+        self.longest = longest(config);
         self.difference = None;
         self.announced = None;
     }
@@ -215,6 +222,10 @@ impl Hands {
     pub fn stop(self) {
         self.outlet.stop();
     }
+}
+
+fn longest(config: &Config) -> Duration {
+    config.window_lengths().into_iter().max().unwrap_or_default()
 }
 
 /// The discovery messages that the configuration asks for.

@@ -90,6 +90,9 @@ impl Running {
         config: Config,
         (station, sensor, outlet): (Station, Sensor<Vec<Preset>>, Outlet),
     ) -> Self {
+        let (model, table) = station.line().describe();
+        log::info!("{model}; {table}");
+        log::info!("{}", report::first_numbers(&config.window_lengths(), clock::now()));
         Self {
             hands: Hands::new(&config, station.line(), outlet),
             road: road::Keeper::new(config.road_file()),

@@ -3,6 +3,7 @@
 //! Two pictures are judged as the running line would judge them. What it would withhold for
 //! longer than a moment fails the check, so that nobody leaves a camera that looks elsewhere.
 
+pub mod aim;
 pub(super) mod folders;
 
 use crate::alarm::Alarm;
@@ -10,10 +11,14 @@ use crate::daemon::address::masked;
 use crate::daemon::assemble::{broker, first_picture, open_line};
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
+use crate::daemon::line::Line;
+use crate::daemon::offset::Offset;
 use crate::daemon::output::WholeFile;
 use crate::daemon::publish::{self, payload::status_name};
+use crate::daemon::scene::Scene;
 use crate::daemon::station::Station;
 use crate::health::Event;
+use std::borrow::Cow;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use verge_desk::Exit;
@@ -148,9 +153,9 @@ fn measure(station: &mut Station, interval: Duration) -> Result<String, Failure>
     }
     let aim = station.line().scene().map_or("not checked", |scene| scene.aiming().name());
     match event {
-        Some(Event::Withheld(alarm)) => Err(withheld(alarm)),
-        Some(Event::PassedOver) => Err(withheld(Alarm::CameraMoved)),
-        Some(Event::Unchanged) => Err(withheld(Alarm::FrozenPicture)),
+        Some(Event::Withheld(alarm)) => Err(withheld(alarm, station.line())),
+        Some(Event::PassedOver) => Err(withheld(Alarm::CameraMoved, station.line())),
+        Some(Event::Unchanged) => Err(withheld(Alarm::FrozenPicture, station.line())),
         Some(Event::Measured | Event::Damaged | Event::Missing) | None => Ok(format!(
             "{found} vehicles found, {located} of them in the lanes; the camera's aim: {aim}"
         )),
@@ -167,10 +172,19 @@ fn draw(station: &Station, withheld: &str, file: &Path) -> Result<String, Failur
 }
 
 /// What the running line would make of it.
-pub(super) fn withheld(alarm: Alarm) -> Failure {
+pub(super) fn withheld(alarm: Alarm, line: &Line) -> Failure {
     let hint = match alarm {
         Alarm::CameraMoved => {
-            "the scene is not where the lane table has it: turn the camera back, or make a table"
+            let offset = line.scene().and_then(Scene::offset);
+            return Failure::Withheld {
+                reason: alarm.name(),
+                status: status_name(alarm.status()),
+                hint: Cow::Owned(format!(
+                    "{}. Turn the camera back (`verge check --aim` prints each second how far it is \
+                     off), or make a lane table for where it looks now",
+                    Offset::words(offset.as_ref())
+                )),
+            };
         }
         Alarm::FrozenPicture => "the camera gives the same picture again",
         Alarm::BlankPicture => {
@@ -183,7 +197,8 @@ pub(super) fn withheld(alarm: Alarm) -> Failure {
         Alarm::BoardFault => "a part of the board fails",
         Alarm::CertificateExpires => "a certificate ends soon: renew it",
     };
-    Failure::Withheld { reason: alarm.name(), status: status_name(alarm.status()), hint }
+    let (reason, status) = (alarm.name(), status_name(alarm.status()));
+    Failure::Withheld { reason, status, hint: Cow::Borrowed(hint) }
 }
 
 #[derive(Default)]

@@ -253,14 +253,9 @@ fn read_3(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
 fn read_5(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
     use rumqttc::v5::mqttbytes::Error;
     match bytes.get(..4) {
-        // A broker of 3.1.1 answers in its own way: CONNACK, two bytes, and the second says that it
-        // does not speak our version.
-        Some([0x20, 2, _, code]) => {
-            return match code {
-                1 => Ok(Some(Incoming::Denied(Denial::Version))),
-                _ => Err("it answers as a broker of MQTT 3.1.1".to_owned()),
-            };
-        }
+        // A broker of 3.1.1 answers in its own way, CONNACK of two bytes, even where it takes the
+        // session or denies the login: it is spoken to in its version, and says which then.
+        Some([0x20, 2, ..]) => return Ok(Some(Incoming::Denied(Denial::Version))),
         // A goodbye without a reason.
         Some([0xe0, 0, ..]) => return Ok(Some(Incoming::Closing("no reason given".to_owned()))),
         _ => {}

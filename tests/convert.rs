@@ -105,6 +105,9 @@ fn what_people_pipe_into_it_is_read() {
         }),
         wrapped(|value| serde_json::json!({"topic": "a", "payload": value})),
         wrapped(|value| serde_json::json!({"key": null, "value": {"payload": value.to_string()}})),
+        // jq without -r; a consumer that gives lists.
+        wrapped(|value| value.to_string().into()),
+        serde_json::json!({"records": [{"value": values[0]}, {"value": values[1]}]}).to_string(),
     ] {
         let (code, output, errors) = convert(&input, &["--to", "json"]);
         assert_eq!(
@@ -113,6 +116,41 @@ fn what_people_pipe_into_it_is_read() {
             "{input}"
         );
     }
+}
+
+#[test]
+fn what_else_comes_under_the_topics_is_left_out_and_other_forms_are_named() {
+    use std::io::Write;
+    let lines = json_lines();
+    let health = r#"{"schema":1,"site":"k109f","uptime_s":7}"#;
+    let input = format!("verge/k/presence online\nverge/k/health {health}\n{lines}");
+    let (code, output, errors) = convert(&input, &["--to", "json"]);
+    assert_eq!((code, output.as_str()), (Some(0), lines.as_str()), "{errors}");
+    assert!(errors.contains("2 of other kinds"), "{errors}");
+    let (code, _, errors) = convert("", &["--to", "json"]);
+    assert!(code == Some(0) && errors.contains("no density message"), "{errors}");
+
+    let folder = folder();
+    let file = folder.path().join("messages");
+    let name = file.to_str().expect("UTF-8");
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    packed.write_all(lines.as_bytes()).expect("memory");
+    std::fs::write(&file, packed.finish().expect("memory")).expect("written");
+    let of_file = |format: &str| {
+        let output = common::verge(&["convert", "--to", format, name]);
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        (output.status.code(), text, common::stderr(&output))
+    };
+    let (code, output, errors) = of_file("json");
+    assert_eq!((code, output.as_str()), (Some(0), lines.as_str()), "{errors}");
+    for (bytes, words) in [(&b"\xff\xfe{\0"[..], "UTF-16"), (b"BZh91AY", "bzip2")] {
+        std::fs::write(&file, bytes).expect("written");
+        let (code, output, errors) = of_file("csv");
+        assert_eq!(code, Some(65), "{errors}");
+        assert!(errors.contains(words) && !output.contains("null"), "{errors}");
+    }
+    let (_, _, errors) = convert("{'schema': 1}\n", &["--to", "json"]);
+    assert!(errors.contains("json.dumps"), "{errors}");
 }
 
 #[test]

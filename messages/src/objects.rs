@@ -1,21 +1,25 @@
 //! JSON objects in what people pipe: one a line, with the topic in front or without, wrapped by
-//! the program that received them, pretty-printed, in arrays.
+//! the program that received them, pretty-printed, in arrays, as texts of JSON.
 //!
-//! Owns where an object begins and ends. What it means is [`crate::read`]'s. Memory is bounded
+//! Owns where an object begins and ends, and which messages are in it. What they mean is
+//! [`crate::read`]'s. Memory is bounded
 //! whatever comes, and behind something that is not JSON the next line begins afresh.
 
-use serde_json::Value;
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use serde_json::{Map, Value};
 use std::io::{self, BufRead};
 
-/// Longest object, bytes: several times the largest message, pretty-printed.
-pub const LONGEST: usize = 256 << 10;
+/// Longest object, bytes: hundreds of messages in one wrapper.
+pub const LONGEST: usize = 1 << 20;
 /// Deepest nesting: a message has four levels, and wrappers some more.
 const DEEPEST: usize = 16;
-/// Wrappers around a message, one inside the other.
-const MOST_WRAPPERS: usize = 4;
-/// Fields in which a wrapper has the message: `mosquitto_sub -F %j` and `%J`, Node-RED,
-/// Kafka's consumers, Azure and AWS.
-const WRAPPED: [&str; 6] = ["payload", "message", "value", "data", "body", "Body"];
+/// Wrappers around a message, one inside the other: Elasticsearch has five.
+const MOST_WRAPPERS: usize = 8;
+/// Characters of a line that are looked at where it is not JSON.
+const SHOWN: usize = 400;
+/// Fewest characters in which a message may be hidden as base64.
+const LEAST_BASE64: usize = 64;
 
 /// An object, or what is not one, and the line on which it begins, from 1.
 #[derive(Debug, PartialEq, Eq)]
@@ -36,6 +40,16 @@ pub struct Objects<R> {
     at: usize,
     line: usize,
     is_over: bool,
+    others: usize,
+}
+
+/// What is in an object.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Inside {
+    /// Messages, or the object as it is where none is found: its reader says what is wrong.
+    Messages(Vec<Vec<u8>>),
+    /// A health or alarm message, or a topic without one.
+    Other,
 }
 
 /// What stands at the beginning of some bytes.
@@ -51,7 +65,12 @@ enum Piece {
 impl<R: BufRead> Objects<R> {
     /// The objects of `input`.
     pub const fn of(input: R) -> Self {
-        Self { input, bytes: Vec::new(), at: 0, line: 1, is_over: false }
+        Self { input, bytes: Vec::new(), at: 0, line: 1, is_over: false, others: 0 }
+    }
+
+    /// Lines so far that were of another kind: the presence of a sensor, a topic that was cleared.
+    pub const fn others(&self) -> usize {
+        self.others
     }
 
     /// The next one; none at the end.
@@ -63,9 +82,15 @@ impl<R: BufRead> Objects<R> {
             let Some(head) = self.head()? else { return Ok(None) };
             if let Some(text) = head {
                 let line = self.line;
+                if let Some(object) = self.text()? {
+                    return Ok(Some(Found { line, object: Ok(object) }));
+                }
                 self.skip_line()?;
-                let reason = format!("not a density message: {text:?} is not JSON");
-                return Ok(Some(Found { line, object: Err(reason) }));
+                if is_of_another_kind(&text) {
+                    self.others += 1;
+                    continue;
+                }
+                return Ok(Some(Found { line, object: Err(not_json(&text)) }));
             }
             match self.piece() {
                 Piece::Object(length) => {
@@ -101,16 +126,52 @@ impl<R: BufRead> Objects<R> {
             }
             self.give(count);
             let rest = &self.bytes[self.at..];
+            if rest[0] == b'"' {
+                return Ok(Some(Some(String::new())));
+            }
             let end = rest.iter().position(|&byte| byte == b'{' || byte == b'\n');
             if let Some(at) = end.filter(|&at| rest[at] == b'{') {
                 self.give(at);
                 return Ok(Some(None));
             }
             let may_go_on = end.is_none() && rest.len() < LONGEST;
-            let text = String::from_utf8_lossy(&rest[..rest.len().min(160)]);
-            let text = text.lines().next().unwrap_or_default().chars().take(40).collect();
+            let text = String::from_utf8_lossy(&rest[..rest.len().min(4 * SHOWN)]);
+            let text = text.lines().next().unwrap_or_default().chars().take(SHOWN).collect();
             if !may_go_on || !self.fill()? {
                 return Ok(Some(Some(text)));
+            }
+        }
+    }
+
+    /// A text of JSON that holds an object, where one begins here.
+    fn text(&mut self) -> io::Result<Option<Vec<u8>>> {
+        if self.bytes[self.at] != b'"' {
+            return Ok(None);
+        }
+        loop {
+            let rest = &self.bytes[self.at..];
+            let (mut is_escaped, mut end) = (false, None);
+            for (index, &byte) in rest.iter().enumerate().skip(1) {
+                match byte {
+                    _ if is_escaped => is_escaped = false,
+                    b'\\' => is_escaped = true,
+                    b'"' | b'\n' => {
+                        end = Some(index + 1);
+                        break;
+                    }
+                    _ => {}
+                }
+            }
+            if let Some(end) = end {
+                let text: Option<String> = serde_json::from_slice(&rest[..end]).ok();
+                let object = text.filter(|text| text.trim_start().starts_with('{'));
+                if object.is_some() {
+                    self.give(end);
+                }
+                return Ok(object.map(String::into_bytes));
+            }
+            if rest.len() >= LONGEST || !self.fill()? {
+                return Ok(None);
             }
         }
     }
@@ -187,24 +248,93 @@ impl<R: BufRead> Objects<R> {
     }
 }
 
-/// The message inside the wrappers that receiving programs put around it, or the object itself
-/// where it is one.
-pub fn unwrapped(object: &[u8]) -> Vec<u8> {
-    let mut object = object.to_vec();
-    for _ in 0..MOST_WRAPPERS {
-        let Ok(Value::Object(fields)) = serde_json::from_slice(&object) else { break };
-        if fields.contains_key("schema") || fields.contains_key("lanes") {
-            break;
-        }
-        let inside = WRAPPED.iter().find_map(|name| fields.get(*name));
-        object = match inside {
-            // As text, or as it is.
-            Some(Value::String(text)) => text.clone().into_bytes(),
-            Some(value @ Value::Object(_)) => value.to_string().into_bytes(),
-            _ => break,
-        };
+/// Whether a line is what else comes under a sensor's topics: its presence, or a topic alone, whose
+/// kept message was cleared.
+fn is_of_another_kind(line: &str) -> bool {
+    let mut words = line.split_ascii_whitespace();
+    let has_topic =
+        words.next().is_some_and(|topic| topic.contains('/') && !topic.starts_with('/'));
+    has_topic && matches!(words.next(), None | Some("online" | "offline" | "(null)"))
+}
+
+fn not_json(line: &str) -> String {
+    if line.len() >= 20 && line.trim().bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return "it is hexadecimal: read it with --from postcard".to_owned();
     }
-    object
+    let begins: String = line.chars().take(40).collect();
+    format!("not a density message: {begins:?} is not JSON")
+}
+
+/// The messages in an object: itself, or those inside the wrappers that receiving programs put around
+/// them (`mosquitto_sub -F %j`, Node-RED, Kafka, Kinesis, AWS, Azure, Elasticsearch), also as text, as
+/// base64 and in lists.
+pub fn messages_in(object: &[u8]) -> Inside {
+    let Ok(value) = serde_json::from_slice::<Value>(object) else {
+        return Inside::Messages(vec![object.to_vec()]);
+    };
+    let mut found = Vec::new();
+    match &value {
+        Value::Object(fields) if is_message(fields) => found.push(object.to_vec()),
+        _ => collect(&value, MOST_WRAPPERS, &mut found),
+    }
+    if found.is_empty() {
+        if is_other(&value) {
+            return Inside::Other;
+        }
+        found.push(object.to_vec());
+    }
+    Inside::Messages(found)
+}
+
+fn is_message(fields: &Map<String, Value>) -> bool {
+    (fields.contains_key("schema") || fields.contains_key("lanes")) && !is_health_or_alarm(fields)
+}
+
+fn is_health_or_alarm(fields: &Map<String, Value>) -> bool {
+    fields.contains_key("schema")
+        && (fields.contains_key("uptime_s") || fields.contains_key("active"))
+}
+
+/// A health or alarm message, wrapped or not, or the wrapper of a presence or of nothing.
+fn is_other(value: &Value) -> bool {
+    let Value::Object(fields) = value else { return false };
+    is_health_or_alarm(fields)
+        || fields.values().any(|inner| match inner {
+            Value::Object(inner) => is_health_or_alarm(inner),
+            Value::String(text) => serde_json::from_str(text)
+                .is_ok_and(|inner: Value| inner.as_object().is_some_and(is_health_or_alarm)),
+            _ => false,
+        })
+        || fields.contains_key("topic")
+            && fields.get("payload").is_none_or(|payload| match payload {
+                Value::Null => true,
+                Value::String(text) => matches!(text.as_str(), "" | "online" | "offline"),
+                _ => false,
+            })
+}
+
+fn collect(value: &Value, depth: usize, found: &mut Vec<Vec<u8>>) {
+    let Some(depth) = depth.checked_sub(1) else { return };
+    match value {
+        Value::Object(fields) if is_message(fields) => found.push(value.to_string().into_bytes()),
+        Value::Object(fields) => fields.values().for_each(|inner| collect(inner, depth, found)),
+        Value::Array(values) => values.iter().for_each(|inner| collect(inner, depth, found)),
+        Value::String(text) => {
+            let text = text.trim();
+            let hidden = if text.starts_with(['{', '[']) {
+                Some(text.as_bytes().to_vec())
+            } else if text.len() >= LEAST_BASE64 {
+                BASE64_STANDARD.decode(text).ok()
+            } else {
+                None
+            };
+            let inner = hidden.and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok());
+            if let Some(inner) = inner {
+                collect(&inner, depth, found);
+            }
+        }
+        _ => {}
+    }
 }
 
 #[cfg(test)]
@@ -265,20 +395,55 @@ mod tests {
     }
 
     #[test]
-    fn wrappers_are_taken_off() {
+    fn messages_are_found_in_their_wrappers() {
         let message = r#"{"schema":1,"payload":2}"#;
         let text = Value::from(message).to_string();
+        let packed = BASE64_STANDARD.encode(format!("{message}{}", " ".repeat(LEAST_BASE64)));
         for wrapped in [
             message.to_owned(),
             format!("{{\"topic\":\"a\",\"payload\":{message}}}"),
             format!("{{\"tst\":\"x\",\"topic\":\"a\",\"qos\":1,\"payload\":{text}}}"),
             format!("{{\"value\":{{\"payload\":{text}}}}}"),
+            format!("{{\"Records\":[{{\"kinesis\":{{\"data\":\"{packed}\"}}}}]}}"),
+            format!("{{\"hits\":{{\"hits\":[{{\"_source\":{message}}}]}}}}"),
+            format!("{{\"messages\":[{text}]}}"),
         ] {
-            let found: Value =
-                serde_json::from_slice(&unwrapped(wrapped.as_bytes())).expect("JSON");
-            assert_eq!(found["schema"], 1, "{wrapped}");
+            let Inside::Messages(found) = messages_in(wrapped.as_bytes()) else {
+                panic!("{wrapped}")
+            };
+            let found: Vec<Value> =
+                found.iter().map(|one| serde_json::from_slice(one).expect("JSON")).collect();
+            let expected: Value = serde_json::from_str(message).expect("JSON");
+            assert_eq!(found, [expected], "{wrapped}");
         }
-        assert_eq!(unwrapped(b"{\"payload\":7}"), b"{\"payload\":7}");
-        assert_eq!(unwrapped(b"{"), b"{");
+        let two = format!("{{\"items\":[{message},{message}]}}");
+        assert!(matches!(messages_in(two.as_bytes()), Inside::Messages(two) if two.len() == 2));
+        for nothing in ["{\"payload\":7}", "{"] {
+            let itself = Inside::Messages(vec![nothing.as_bytes().to_vec()]);
+            assert_eq!(messages_in(nothing.as_bytes()), itself);
+        }
+        for other in [
+            r#"{"schema":1,"uptime_s":7}"#,
+            r#"{"topic":"v/x/alarm/a","payload":"{\"schema\":1,\"active\":true}"}"#,
+            r#"{"topic":"v/x/presence","payload":"online"}"#,
+            r#"{"topic":"v/x/alarm/a","payload":null}"#,
+        ] {
+            assert_eq!(messages_in(other.as_bytes()), Inside::Other, "{other}");
+        }
+    }
+
+    #[test]
+    fn texts_of_json_and_lines_of_other_kinds() {
+        let object = r#"{"a":"\"}"}"#;
+        let text = Value::from(object).to_string();
+        assert_eq!(found(&format!("{text}\n[{text},{text}]\n")).len(), 3);
+        assert_eq!(found(&text), [(1, Ok(object.to_owned()))]);
+        assert!(found("\"plain\"\n")[0].1.is_err());
+        let mut objects =
+            Objects::of("v/x/presence online\nv/x/alarm/a \nv/x/alarm/b (null)\n".as_bytes());
+        assert_eq!(objects.next_object().expect("readable"), None);
+        assert_eq!(objects.others(), 3);
+        let wrong = found("0501ab0501ab0501ab0501ab\n");
+        assert!(wrong[0].1.as_ref().is_err_and(|reason| reason.contains("--from postcard")));
     }
 }

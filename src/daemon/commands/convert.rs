@@ -11,7 +11,7 @@ use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use verge_messages::Density;
 use verge_messages::formats::{Exporter, Format, Publisher};
-use verge_messages::objects::{Found, Objects, unwrapped};
+use verge_messages::objects::{Found, Inside, Objects, messages_in};
 
 /// Longest line in hexadecimal that is read, bytes: many times the largest message.
 const MAX_LINE: usize = 64 << 10;
@@ -112,7 +112,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let broken = |source| Failure::Input { path: name.clone(), source };
     // A table of sites has each of them once, as its latest message has it.
     let mut sites = BTreeMap::new();
-    let (mut count, mut bad) = (0, 0);
+    let (mut count, mut bad, mut others) = (0, 0, 0);
     let mut convert = |line: usize, message: Result<Density, String>| {
         count += 1;
         let text = message.and_then(|message| Ok((exporter.message(&message)?, message)));
@@ -133,8 +133,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         Form::Json => {
             let mut objects = Objects::of(input);
             while let Some(Found { line, object }) = objects.next_object().map_err(broken)? {
-                convert(line, object.and_then(|object| of_json(&object)))?;
+                match object.map(|object| messages_in(&object)) {
+                    Ok(Inside::Messages(found)) => {
+                        found.iter().try_for_each(|message| convert(line, of_json(message)))?;
+                    }
+                    Ok(Inside::Other) => others += 1,
+                    Err(reason) => convert(line, Err(reason))?,
+                }
             }
+            others += objects.others();
         }
         Form::Postcard => {
             let (mut line, mut number) = (Vec::new(), 0);
@@ -153,17 +160,33 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     sites.values().try_for_each(|site| output.line(site))?;
     exporter.end().map_or(Ok(()), |tail| output.line(&tail))?;
     output.finish()?;
+    let name = name.display();
+    if others > 0 {
+        eprintln!("verge: {name}: {others} of other kinds (health, alarm, presence) left out");
+    }
+    if count == 0 {
+        eprintln!("verge: {name}: no density message in it");
+    }
     if bad > 0 { Err(Failure::Messages { bad, count }) } else { Ok(()) }
 }
 
-/// Reads one message, in its wrappers or without, and checks it.
-fn of_json(object: &[u8]) -> Result<Density, String> {
-    verge_messages::read(&unwrapped(object)).map_err(|error| error.to_string())
+/// Reads one message and checks it.
+fn of_json(message: &[u8]) -> Result<Density, String> {
+    verge_messages::read(message).map_err(|error| {
+        let is_python = message.starts_with(b"{'");
+        let hint = "; its quotes are single, as Python shows a dict: print it with json.dumps";
+        format!("{error}{}", if is_python { hint } else { "" })
+    })
 }
 
 /// Reads one message from hexadecimal and checks it.
 fn of_postcard(line: &[u8]) -> Result<Density, String> {
-    let message = wire::decode(&unhex(line)?).map_err(|error| error.to_string())?;
+    let bytes = unhex(line)?;
+    if bytes.starts_with(b"{") {
+        // JSON in hexadecimal: the sensor publishes JSON, and `mosquitto_sub -F %x` showed it.
+        return of_json(&bytes);
+    }
+    let message = wire::decode(&bytes).map_err(|error| error.to_string())?;
     let density = messages::density(&message, None);
     density.check().map_err(|wrong| wrong.to_string())?;
     Ok(density)
@@ -183,12 +206,44 @@ fn unhex(text: &[u8]) -> Result<Vec<u8>, String> {
 }
 
 fn open(path: Option<&Path>) -> Result<(PathBuf, Box<dyn BufRead>), Failure> {
-    let Some(path) = path else {
-        return Ok(("standard input".into(), Box::new(io::stdin().lock())));
+    let (name, input): (PathBuf, Box<dyn BufRead>) = match path {
+        None => ("standard input".into(), Box::new(io::stdin().lock())),
+        Some(path) => {
+            let unread = |source| Failure::Input { path: path.to_owned(), source };
+            (path.to_owned(), Box::new(BufReader::new(File::open(path).map_err(unread)?)))
+        }
     };
-    let file =
-        File::open(path).map_err(|source| Failure::Input { path: path.to_owned(), source })?;
-    Ok((path.to_owned(), Box::new(BufReader::new(file))))
+    let input = unpacked(input).map_err(|reason| match reason {
+        Unpacked::Broken(source) => Failure::Input { path: name.clone(), source },
+        Unpacked::Other(what) => Failure::InputForm { path: name.clone(), what },
+    })?;
+    Ok((name, input))
+}
+
+/// Why an input cannot be read as text.
+enum Unpacked {
+    Broken(io::Error),
+    /// It is this, and what to do.
+    Other(&'static str),
+}
+
+/// The text of an input by how it begins: packed by gzip or plain.
+fn unpacked(mut input: Box<dyn BufRead>) -> Result<Box<dyn BufRead>, Unpacked> {
+    let head = input.fill_buf().map_err(Unpacked::Broken)?;
+    let what = match head {
+        [0x1f, 0x8b, ..] => {
+            return Ok(Box::new(BufReader::new(flate2::bufread::MultiGzDecoder::new(input))));
+        }
+        [0x28, 0xb5, 0x2f, 0xfd, ..] => "packed by zstd: unpack it first (zstd -dc)",
+        [b'B', b'Z', b'h', ..] => "packed by bzip2: unpack it first (bzip2 -dc)",
+        [0xfd, b'7', b'z', b'X', ..] => "packed by xz: unpack it first (xz -dc)",
+        [b'P', b'K', 3, 4, ..] => "a ZIP file: unpack it first",
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] | [0, b'{' | b'[', ..] | [b'{' | b'[', 0, ..] => {
+            "UTF-16, as PowerShell writes it: save it as UTF-8"
+        }
+        _ => return Ok(input),
+    };
+    Err(Unpacked::Other(what))
 }
 
 enum Line {

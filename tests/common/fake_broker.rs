@@ -2,7 +2,8 @@
 //! publishes, and notes what came.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use std::io::{Read, Write};
+use crate::common::packets::packet;
+use std::io::Write;
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -34,6 +35,8 @@ pub struct Manners {
     pub properties: Vec<u8>,
     /// Sent over and over once the client is in.
     pub flood: Option<Vec<u8>>,
+    /// Time between two floods of some 60 KB.
+    pub flood_pause: Duration,
     /// Ends each session when it has taken so many windows.
     pub ends_after: Option<usize>,
 }
@@ -151,7 +154,12 @@ fn serve(mut stream: &TcpStream, shared: &Mutex<Manners>, seen: &Mutex<Seen>) ->
             many.extend_from_slice(flood);
         }
         let mut out = stream.try_clone().ok()?;
-        std::thread::spawn(move || while out.write_all(&many).is_ok() {});
+        let pause = manners.flood_pause;
+        std::thread::spawn(move || {
+            while out.write_all(&many).is_ok() {
+                std::thread::sleep(pause);
+            }
+        });
     }
     let (mut subscribed, mut windows) = (Vec::new(), 0);
     loop {
@@ -231,22 +239,4 @@ fn write_length(out: &mut Vec<u8>, mut length: usize) {
             return;
         }
     }
-}
-
-/// The first byte and the body of the next packet; `None` at the end.
-fn packet(stream: &mut impl Read) -> Option<(u8, Vec<u8>)> {
-    let mut byte = [0];
-    stream.read_exact(&mut byte).ok()?;
-    let kind = byte[0];
-    let mut length = 0;
-    for shift in [0, 7, 14, 21] {
-        stream.read_exact(&mut byte).ok()?;
-        length |= usize::from(byte[0] & 0x7f) << shift;
-        if byte[0] < 0x80 {
-            break;
-        }
-    }
-    let mut body = vec![0; length];
-    stream.read_exact(&mut body).ok()?;
-    Some((kind, body))
 }

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 pub mod mosquitto;
+pub mod packets;
 
 use std::path::PathBuf;
 use std::process::{Command, Output};

@@ -3,14 +3,20 @@
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A port of this machine that nobody uses.
+/// A port of this machine that is free, another one each time: below those that the system gives to
+/// outgoing connections, of which a flood in another test has a thousand.
 pub fn free_port() -> u16 {
-    let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
-    free.local_addr().expect("its address").port()
+    static GIVEN: AtomicU16 = AtomicU16::new(0);
+    let first = (std::process::id() % 100) as u16 * 200;
+    (0..)
+        .map(|_| 10_000 + (first + GIVEN.fetch_add(1, Ordering::Relaxed)) % 20_000)
+        .find(|&port| TcpListener::bind((Ipv4Addr::LOCALHOST, port)).is_ok())
+        .expect("a free port")
 }
 
 /// Debian's broker, on ports of this machine.
@@ -46,10 +52,11 @@ impl Mosquitto {
             .stderr(Stdio::null())
             .spawn()
             .expect("mosquitto starts");
-        let running = Running(child);
+        let mut running = Running(child);
         let started = Instant::now();
         while TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err() {
             assert!(started.elapsed() < PATIENCE, "mosquitto does not listen");
+            assert_eq!(running.0.try_wait().expect("ours"), None, "mosquitto goes on");
             std::thread::sleep(Duration::from_millis(20));
         }
         running

@@ -12,9 +12,10 @@ mod disk;
 mod independent;
 
 use common::mosquitto::{Mosquitto, Running, free_port};
+use common::packets::packet;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, TcpStream};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -242,24 +243,6 @@ fn listen(port: u16) -> Receiver<(String, Vec<u8>)> {
         }
     });
     receiver
-}
-
-/// The first byte and the body of the next MQTT packet; `None` at the end.
-fn packet(stream: &mut impl Read) -> Option<(u8, Vec<u8>)> {
-    let mut byte = [0];
-    stream.read_exact(&mut byte).ok()?;
-    let kind = byte[0];
-    let mut length = 0;
-    for shift in [0, 7, 14, 21] {
-        stream.read_exact(&mut byte).ok()?;
-        length |= usize::from(byte[0] & 0x7f) << shift;
-        if byte[0] < 0x80 {
-            break;
-        }
-    }
-    let mut body = vec![0; length];
-    stream.read_exact(&mut body).ok()?;
-    Some((kind, body))
 }
 
 #[test]

@@ -191,6 +191,7 @@ fn what_is_published_stands_in_the_document() {
         stage_faults: 0,
         messages: payload::Messages::default(),
         certificate_days: Some(300),
+        node_windows_lost: Some(0),
         last_fault: None,
     });
     publisher.alarm(&payload::AlarmMessage {

@@ -117,6 +117,7 @@ fn health() -> payload::Health {
         },
         stage_faults: 0,
         certificate_days: Some(300),
+        node_windows_lost: Some(0),
         last_fault: None,
     }
 }

@@ -62,6 +62,10 @@ pub struct Health {
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(range(min = -100_000, max = 1_000_000)))]
     pub certificate_days: Option<i64>,
+    /// Windows that did not leave for the I/O node since start; null where none is connected.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.2")))]
+    pub node_windows_lost: Option<u64>,
     /// The latest fault, for people; null while all is well.
     pub last_fault: Option<String>,
 }
@@ -74,13 +78,14 @@ impl Health {
     pub fn check(&self) -> Result<(), Wrong> {
         let Self { schema: _, site, time: at, version, status: _, alarm: _, uptime_s, .. } = self;
         let Self { clock_synced: _, camera, frames, stream, messages, traffic, board, .. } = self;
-        let Self { stage_faults, certificate_days: _, last_fault, .. } = self;
+        let Self { stage_faults, certificate_days: _, node_windows_lost, last_fault, .. } = self;
         name("site", site)?;
         time("time", *at)?;
         name("version", version)?;
         for (field, given) in [("uptime_s", *uptime_s), ("stage_faults", *stage_faults)] {
             count(field, given, 0, MOST_COUNT)?;
         }
+        counts([("node_windows_lost", node_windows_lost.unwrap_or(0))])?;
         words("last_fault", last_fault.as_deref(), LONGEST_FAULT)?;
         frames.check().map_err(|wrong| wrong.inside("frames"))?;
         stream.check().map_err(|wrong| wrong.inside("stream"))?;

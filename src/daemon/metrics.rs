@@ -109,6 +109,11 @@ impl Metrics {
             text.family("verge_certificate_days", "gauge", help);
             text.sample(&[], days);
         }
+        if let Some(lost) = health.node_windows_lost {
+            let help = "Windows that did not leave for the I/O node.";
+            text.family("verge_node_windows_lost_total", "counter", help);
+            text.sample(&[], lost);
+        }
         text.family("verge_messages_dropped_total", "counter", "Windows lost for want of room.");
         text.sample(&[], messages.dropped);
         text.family("verge_messages_refused_total", "counter", "Messages the broker refused.");
@@ -281,6 +286,7 @@ mod tests {
             stage_faults: 0,
             messages: Messages { delivered: 4, waiting: 5, dropped: 6, ..Messages::default() },
             certificate_days: Some(300),
+            node_windows_lost: Some(2),
             last_fault: None,
         }
     }
@@ -371,7 +377,8 @@ mod tests {
              collector of node_exporter with each health message (each minute, and when the \
              status changes), whole or not at all; no socket is opened for it. A lane without \
              density has no sample; flow, speed, occupancy in time and queues are there where \
-             vehicles are followed, the days of certificates with TLS.\n\n\
+             vehicles are followed, the days of certificates with TLS, windows lost to a node with \
+             one.\n\n\
              | metric | type | labels | what it is |\n|---|---|---|---|\n",
         );
         for family in text.split("# HELP ").skip(1) {

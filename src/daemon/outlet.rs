@@ -21,6 +21,8 @@ pub struct Outlet {
     spool: Spool,
     publisher: Publisher,
     serial: Option<SerialOutput>,
+    /// Windows that serial lines before this one have lost.
+    lost_before: u64,
     /// When what was put off is tried next.
     retry_at: Instant,
 }
@@ -30,7 +32,8 @@ impl Outlet {
     pub fn start(broker: MqttSettings, format: Format, identity: Identity, spool: Spool) -> Self {
         let mut publisher = Publisher::start(broker, format);
         publisher.locate(identity.located().cloned());
-        Self { identity, spool, publisher, serial: None, retry_at: Instant::now() + RETRY }
+        let (serial, lost_before, retry_at) = (None, 0, Instant::now() + RETRY);
+        Self { identity, spool, publisher, serial, lost_before, retry_at }
     }
 
     /// The same without a disk: what has not arrived ends with the program.
@@ -41,13 +44,14 @@ impl Outlet {
     /// Windows go to an I/O node too, or no longer; a line that stays the same is not touched.
     pub fn serve_node(&mut self, settings: Option<SerialSettings>) {
         if self.serial.as_ref().map(SerialOutput::settings) != settings.as_ref() {
+            self.lost_before = self.lost_to_node().unwrap_or(self.lost_before);
             self.serial = settings.map(SerialOutput::start);
         }
     }
 
-    /// Windows that did not reach the I/O node.
-    pub fn lost_to_node(&self) -> u64 {
-        self.serial.as_ref().map_or(0, SerialOutput::lost)
+    /// Windows that did not leave for the I/O node since start; `None` where none is connected.
+    pub fn lost_to_node(&self) -> Option<u64> {
+        self.serial.as_ref().map(|serial| self.lost_before + serial.lost())
     }
 
     /// Takes a window. It outlives the program from here on, unless the disk refuses it.

@@ -84,6 +84,7 @@ impl Running {
             },
             stage_faults: self.sensor.stage_faults(),
             certificate_days: self.hands.certificate_days(),
+            node_windows_lost: outlet.lost_to_node(),
             last_fault: self.hands.fault().map(str::to_owned),
         };
         outlet.publisher().health(&health);

@@ -10,7 +10,7 @@ use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use verge::daemon::address::Address;
 use verge::daemon::capture::{CameraSettings, Captured, Source};
 use verge::daemon::frame::Frame;
@@ -103,4 +103,26 @@ fn plain_where_tls_is_expected_and_the_other_way_round_is_said() {
     });
     let said = ask(&url, Trust::Public).expect_err("it is not TLS");
     assert!(said.contains("does not speak TLS at this port"), "{said}");
+}
+
+/// TLS reads until a whole record is there: who sends one byte after the other must not keep the line,
+/// which the watchdog would end.
+#[test]
+fn a_handshake_that_drips_ends_with_the_time_out() {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
+    let address = format!("https://{}/x.jpg", listener.local_addr().expect("its address"));
+    thread::spawn(move || {
+        while let Ok((mut socket, _)) = listener.accept() {
+            // A handshake record of 16 KB.
+            let _ = socket.write_all(b"\x16\x03\x03\x40\x00\x02\x00\x3f\xfc");
+            while socket.write_all(b"\x03").is_ok() {
+                thread::sleep(Duration::from_millis(20));
+            }
+        }
+    });
+    let begun = Instant::now();
+    let said = ask(&address, Trust::Public).expect_err("no answer");
+    // By that pace it would be there after five minutes; the time-out is 5 s.
+    assert!(begun.elapsed() < Duration::from_secs(60), "{:?}", begun.elapsed());
+    assert!(said.contains("TLS handshake"), "{said}");
 }

@@ -4,7 +4,7 @@
 //! what the system says. Proxies are not used: a host is reached as it stands.
 
 use super::foreign::shown;
-use std::io;
+use std::io::{self, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpStream, ToSocketAddrs};
 use std::sync::mpsc;
 use std::thread;
@@ -95,15 +95,54 @@ pub fn is_timeout(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
 }
 
-/// Lets a system call on the socket wait for at most this long.
-///
-/// # Errors
-/// What the system says.
-pub fn set_timeouts(socket: &TcpStream, limit: Duration) -> io::Result<()> {
-    // Zero would mean no limit.
-    let limit = Some(limit.max(Duration::from_millis(1)));
-    socket.set_read_timeout(limit)?;
-    socket.set_write_timeout(limit)
+/// A socket whose reads and writes end at an instant: all of them together, however little each of
+/// them brings. TLS reads until a whole record is there, and a time-out for each read alone would let
+/// who sends a byte now and then keep the caller for days.
+#[derive(Debug)]
+pub struct Timed {
+    socket: TcpStream,
+    until: Instant,
+}
+
+impl Timed {
+    /// The socket, with no time yet.
+    pub fn new(socket: TcpStream) -> Self {
+        Self { socket, until: Instant::now() }
+    }
+
+    /// Reads and writes may take until then.
+    pub fn set_until(&mut self, until: Instant) {
+        self.until = until;
+    }
+
+    /// The time that is left.
+    fn rest(&self) -> io::Result<Option<Duration>> {
+        let rest = self.until.saturating_duration_since(Instant::now());
+        // Less than a microsecond would be none to the system, and none is for ever.
+        if rest < Duration::from_micros(1) {
+            Err(io::ErrorKind::TimedOut.into())
+        } else {
+            Ok(Some(rest))
+        }
+    }
+}
+
+impl Read for Timed {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.socket.set_read_timeout(self.rest()?)?;
+        self.socket.read(buffer)
+    }
+}
+
+impl Write for Timed {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.socket.set_write_timeout(self.rest()?)?;
+        self.socket.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.socket.flush()
+    }
 }
 
 /// What the system says, without the number in brackets.
@@ -115,6 +154,43 @@ pub fn system(error: &io::Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::net::{Ipv4Addr, TcpListener};
+
+    /// A pair of sockets: ours with a time, and the other end.
+    fn pair() -> (Timed, TcpStream) {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
+        let ours = TcpStream::connect(listener.local_addr().expect("bound")).expect("connected");
+        (Timed::new(ours), listener.accept().expect("connected").0)
+    }
+
+    #[test]
+    fn who_sends_a_byte_now_and_then_gets_no_more_time() {
+        let (mut ours, mut theirs) = pair();
+        thread::spawn(move || {
+            while theirs.write_all(b"x").is_ok() {
+                thread::sleep(Duration::from_millis(20));
+            }
+        });
+        let begun = Instant::now();
+        ours.set_until(begun + Duration::from_millis(300));
+        let error = ours.read_exact(&mut [0; 100_000]).expect_err("it never gets so many");
+        assert!(is_timeout(&error), "{error}");
+        assert!(begun.elapsed() >= Duration::from_millis(300));
+    }
+
+    #[test]
+    fn who_takes_a_byte_now_and_then_gets_no_more_time() {
+        let (mut ours, mut theirs) = pair();
+        thread::spawn(move || {
+            while theirs.read(&mut [0; 4096]).is_ok_and(|read| read > 0) {
+                thread::sleep(Duration::from_millis(20));
+            }
+        });
+        ours.set_until(Instant::now() + Duration::from_millis(300));
+        // More than the system's buffers hold.
+        let error = ours.write_all(&vec![0; 64 << 20]).expect_err("it never takes so many");
+        assert!(is_timeout(&error), "{error}");
+    }
 
     #[test]
     fn families_take_turns() {

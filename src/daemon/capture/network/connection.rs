@@ -5,13 +5,12 @@
 
 use super::Fault;
 use crate::daemon::address::Address;
-use crate::daemon::dial;
+use crate::daemon::dial::{self, Timed};
 use crate::daemon::foreign::shown;
 use crate::daemon::trust::Trust;
 use rustls::pki_types::ServerName;
 use rustls::{ClientConnection, StreamOwned};
 use std::io::{self, Read, Write};
-use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -28,8 +27,8 @@ pub struct Connection {
 
 #[derive(Debug)]
 enum Stream {
-    Plain(TcpStream),
-    Secure(Box<StreamOwned<ClientConnection, TcpStream>>),
+    Plain(Timed),
+    Secure(Box<StreamOwned<ClientConnection, Timed>>),
 }
 
 impl Connection {
@@ -44,7 +43,8 @@ impl Connection {
         let stream = dial::connect(&addresses, deadline, limit).map_err(Fault::Connect)?;
         // What is sent is short, and waits for an answer.
         let _ = stream.set_nodelay(true);
-        let mut connection = Self { stream: Stream::Plain(stream), deadline, asked: limit };
+        let mut connection =
+            Self { stream: Stream::Plain(Timed::new(stream)), deadline, asked: limit };
         if address.secure {
             connection = connection.secured(address, trust)?;
         }
@@ -86,13 +86,12 @@ impl Connection {
         let config = trust.config().map_err(|error| secure_fault(&error))?;
         let client = ClientConnection::new(Arc::new(config), name).map_err(|e| secure_fault(&e))?;
         let mut secure = Box::new(StreamOwned::new(client, socket));
+        secure.sock.set_until(deadline);
         while secure.conn.is_handshaking() {
             let rest = deadline.saturating_duration_since(Instant::now());
             if rest.is_zero() {
                 return Err(Fault::Timeout { what: "TLS handshake", waited: asked });
             }
-            dial::set_timeouts(&secure.sock, rest)
-                .map_err(|error| Fault::Broken(system(&error)))?;
             match secure.conn.complete_io(&mut secure.sock) {
                 Ok(_) => {}
                 Err(error) if dial::is_timeout(&error) => {}
@@ -113,20 +112,18 @@ impl Connection {
         Ok(Self { stream: Stream::Secure(secure), deadline, asked })
     }
 
-    fn socket(&self) -> &TcpStream {
-        match &self.stream {
-            Stream::Plain(socket) => socket,
-            Stream::Secure(secure) => &secure.sock,
-        }
-    }
-
-    /// Lets the next system call wait as long as is left, at most a slice of it.
-    fn arm(&self) -> io::Result<()> {
-        let rest = self.deadline.saturating_duration_since(Instant::now());
-        if rest.is_zero() {
+    /// Lets the next call wait as long as is left, at most a slice of it.
+    fn arm(&mut self) -> io::Result<()> {
+        let now = Instant::now();
+        if now >= self.deadline {
             return Err(io::ErrorKind::TimedOut.into());
         }
-        dial::set_timeouts(self.socket(), rest.min(SLICE))
+        let until = self.deadline.min(now + SLICE);
+        match &mut self.stream {
+            Stream::Plain(socket) => socket.set_until(until),
+            Stream::Secure(secure) => secure.sock.set_until(until),
+        }
+        Ok(())
     }
 }
 
@@ -167,6 +164,7 @@ impl Write for Connection {
     }
 
     fn flush(&mut self) -> io::Result<()> {
+        self.arm()?;
         match &mut self.stream {
             Stream::Plain(socket) => socket.flush(),
             Stream::Secure(secure) => secure.flush(),

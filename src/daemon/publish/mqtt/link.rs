@@ -9,7 +9,7 @@
 
 use super::packet::{self, Incoming, MAX_INCOMING, Spoken};
 use super::{Message, MqttSettings, tls};
-use crate::daemon::dial;
+use crate::daemon::dial::{self, Timed};
 use bytes::BytesMut;
 use rustls::pki_types::ServerName;
 use rustls::{ClientConnection, StreamOwned};
@@ -52,8 +52,8 @@ impl End {
 
 #[derive(Debug)]
 enum Stream {
-    Plain(TcpStream),
-    Secure(Box<StreamOwned<ClientConnection, TcpStream>>),
+    Plain(Timed),
+    Secure(Box<StreamOwned<ClientConnection, Timed>>),
 }
 
 /// One connection.
@@ -90,7 +90,7 @@ impl Link {
         // Messages are short, and each waits for an answer.
         let _ = socket.set_nodelay(true);
         let stream = match &settings.tls {
-            None => Stream::Plain(socket),
+            None => Stream::Plain(Timed::new(socket)),
             Some(tls) => Stream::Secure(secured(socket, tls, host, deadline)?),
         };
         let now = Instant::now();
@@ -150,13 +150,10 @@ impl Link {
             return Ok(Some(incoming));
         }
         let mut bytes = [0; 4096];
+        self.set_until(Instant::now() + patience);
         let read = match &mut self.stream {
-            Stream::Plain(socket) => {
-                dial::set_timeouts(socket, patience).and_then(|()| socket.read(&mut bytes))
-            }
-            Stream::Secure(secure) => {
-                dial::set_timeouts(&secure.sock, patience).and_then(|()| secure.read(&mut bytes))
-            }
+            Stream::Plain(socket) => socket.read(&mut bytes),
+            Stream::Secure(secure) => secure.read(&mut bytes),
         };
         match read {
             Ok(0) => Err(self.closed()),
@@ -215,16 +212,20 @@ impl Link {
 
     fn send(&mut self, packet: Option<BytesMut>) -> Result<(), End> {
         let bytes = packet.ok_or_else(|| End::Broken("a message that cannot be written".into()))?;
+        self.set_until(Instant::now() + WRITE);
         let written = match &mut self.stream {
-            Stream::Plain(socket) => {
-                dial::set_timeouts(socket, WRITE).and_then(|()| socket.write_all(&bytes))
-            }
-            Stream::Secure(secure) => dial::set_timeouts(&secure.sock, WRITE)
-                .and_then(|()| secure.write_all(&bytes))
-                .and_then(|()| secure.flush()),
+            Stream::Plain(socket) => socket.write_all(&bytes),
+            Stream::Secure(secure) => secure.write_all(&bytes).and_then(|()| secure.flush()),
         };
         self.sent = Instant::now();
         written.map_err(|error| self.broken(&error))
+    }
+
+    fn set_until(&mut self, until: Instant) {
+        match &mut self.stream {
+            Stream::Plain(socket) => socket.set_until(until),
+            Stream::Secure(secure) => secure.sock.set_until(until),
+        }
     }
 
     fn closed(&self) -> End {
@@ -273,11 +274,12 @@ fn secured(
     tls: &tls::Tls,
     host: &str,
     deadline: Instant,
-) -> Result<Box<StreamOwned<ClientConnection, TcpStream>>, End> {
+) -> Result<Box<StreamOwned<ClientConnection, Timed>>, End> {
     let name = ServerName::try_from(host.to_owned())
         .map_err(|_| End::Unsafe(format!("{host:?} cannot be a name in a certificate")))?;
     let client = ClientConnection::new(tls.config(), name).map_err(|error| tls::end(&error))?;
-    let mut secure = Box::new(StreamOwned::new(client, socket));
+    let mut secure = Box::new(StreamOwned::new(client, Timed::new(socket)));
+    secure.sock.set_until(deadline);
     while secure.conn.is_handshaking() {
         let rest = deadline.saturating_duration_since(Instant::now());
         if rest.is_zero() {
@@ -285,9 +287,7 @@ fn secured(
                 "no answer to the TLS handshake: is it TLS at this port (usually 8883)?".into(),
             ));
         }
-        let io = dial::set_timeouts(&secure.sock, rest)
-            .and_then(|()| secure.conn.complete_io(&mut secure.sock));
-        match io {
+        match secure.conn.complete_io(&mut secure.sock) {
             Ok(_) => {}
             Err(error) if dial::is_timeout(&error) => {}
             Err(error) => {

@@ -380,8 +380,13 @@ fn nothing_imports_a_board_and_calibration_and_daemon_do_not_meet() {
 
 /// Whether a file is unsafe that is no door.
 fn is_unsafe_outside(file: &str, code: &str) -> bool {
-    let doors =
-        ["src/daemon/clock.rs", "boards/mcu/src", "boards/linux/watchdog.rs", "kernels/src"];
+    let doors = [
+        "src/daemon/clock.rs",
+        "src/daemon/memory.rs",
+        "boards/mcu/src",
+        "boards/linux/watchdog.rs",
+        "kernels/src",
+    ];
     let is_door = doors.iter().any(|door| file.starts_with(door));
     !is_door && code.replace("unsafe_", "").contains("unsafe ")
 }

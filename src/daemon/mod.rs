@@ -29,6 +29,7 @@ pub mod frame;
 pub mod line;
 pub mod locate;
 mod manual;
+mod memory;
 pub mod metrics;
 mod notify;
 mod offset;
@@ -63,5 +64,6 @@ where
     W: Watchdog,
     T: Thermometer,
 {
+    memory::give_back_large_buffers();
     verge_desk::run_main(|arguments| cli::run(arguments, board))
 }

@@ -6,7 +6,7 @@ use crate::track::rate::DEFAULT_TOP_KMH;
 use crate::units::LaneId;
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Where pictures come from.
 #[derive(Clone, Debug, Deserialize)]

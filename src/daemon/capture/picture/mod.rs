@@ -24,6 +24,9 @@ pub const MAX_MEASURED: usize = 3840 * 2160;
 pub const MAX_PIXELS: u64 = 16_000_000;
 /// Most memory that decoding may take, bytes.
 const MAX_MEMORY: u64 = 88 << 20;
+/// Copies of a picture's bytes that are held while it is decoded: the stream's, the latest, the
+/// decoder's, and its metadata.
+const COPIES: u64 = 4;
 
 /// Why bytes are not a picture to measure.
 #[derive(Debug, thiserror::Error)]
@@ -128,7 +131,12 @@ pub fn decode_shaped(
             None => Err(DecodeError::Format { what: kind::described(bytes) }),
         }
     }));
-    decoded.unwrap_or(Err(DecodeError::Decoder))
+    let decoded = decoded.unwrap_or(Err(DecodeError::Decoder));
+    if decoded.is_err() {
+        // A picture that is refused leaves no memory taken.
+        *picture = Picture::default();
+    }
+    decoded
 }
 
 fn damaged(error: &impl std::fmt::Display) -> DecodeError {
@@ -142,6 +150,7 @@ fn decode_jpeg(
 ) -> Result<(), DecodeError> {
     let header = jpeg::header(bytes)?;
     let kept = if header.keeps_coefficients { header.coefficients * 2 } else { 0 };
+    let kept = kept + COPIES * bytes.len() as u64;
     check(header.width, header.height, header.orientation, 3, kept, shape)?;
     let bytes = match jpeg::EndFinder::default().find(bytes) {
         jpeg::End::At(end) => &bytes[..end],
@@ -163,13 +172,22 @@ fn decode_jpeg(
         image::codecs::jpeg::JpegDecoder::new(Cursor::new(bytes)).map_err(|e| damaged(&e))?;
     let (width, height) = decoder.dimensions();
     (picture.width, picture.height) = (width as usize, height as usize);
-    if decoder.color_type() == ColorType::Rgb8 {
-        picture.rgb.resize(picture.width * picture.height * 3, 0);
-        decoder.read_image(&mut picture.rgb).map_err(|e| damaged(&e))?;
-    } else {
-        let image = image::DynamicImage::from_decoder(decoder).map_err(|e| damaged(&e))?;
-        picture.rgb.clear();
-        picture.rgb.extend_from_slice(&image.into_rgb8());
+    match decoder.color_type() {
+        ColorType::Rgb8 => {
+            picture.rgb.resize(picture.width * picture.height * 3, 0);
+            decoder.read_image(&mut picture.rgb).map_err(|e| damaged(&e))?;
+        }
+        ColorType::L8 => {
+            // The levels lie in front of the pixels that they become.
+            picture.rgb.resize(picture.width * picture.height * 3, 0);
+            let levels = picture.width * picture.height;
+            decoder.read_image(&mut picture.rgb[..levels]).map_err(|e| damaged(&e))?;
+            for at in (0..levels).rev() {
+                let level = picture.rgb[at];
+                picture.rgb[3 * at..3 * at + 3].fill(level);
+            }
+        }
+        other => return Err(DecodeError::Format { what: format!("a JPEG of {other:?} pixels") }),
     }
     finish(picture, header.orientation);
     Ok(())
@@ -194,6 +212,7 @@ fn decode_png(
     let (color, _) = reader.output_color_type();
     let interlaced = reader.info().interlaced;
     let kept = u64::from(width) * u64::from(height) * if interlaced { 4 } else { 0 };
+    let kept = kept + COPIES * bytes.len() as u64;
     check(width, height, orientation, 3, kept, shape)?;
     (picture.width, picture.height) = (width as usize, height as usize);
     picture.rgb.clear();
@@ -256,6 +275,17 @@ pub fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
     Ok(())
 }
 
+/// Whether a picture of this size may take so much memory, bytes.
+///
+/// # Errors
+/// [`DecodeError::TooMuchMemory`].
+pub fn check_memory(width: u32, height: u32, memory: u64) -> Result<(), DecodeError> {
+    if memory > MAX_MEMORY {
+        return Err(DecodeError::TooMuchMemory { width, height, megabytes: memory >> 20 });
+    }
+    Ok(())
+}
+
 /// Checks what a header promises: the size, the shape as it will stand, and the memory for
 /// pixels of `channels` bytes with `kept` bytes beside them.
 fn check(
@@ -267,10 +297,7 @@ fn check(
     shape: Option<Shape>,
 ) -> Result<(), DecodeError> {
     check_size(width, height)?;
-    let memory = u64::from(width) * u64::from(height) * channels + kept;
-    if memory > MAX_MEMORY {
-        return Err(DecodeError::TooMuchMemory { width, height, megabytes: memory >> 20 });
-    }
+    check_memory(width, height, u64::from(width) * u64::from(height) * channels + kept)?;
     let (width, height) = if orientation > 4 { (height, width) } else { (width, height) };
     match shape {
         Some(shape) if !shape.admits(width, height) => {
@@ -280,10 +307,15 @@ fn check(
     }
 }
 
-/// Makes a picture smaller where it is too large, and turns it upright: in this order, for to turn
-/// it takes a second picture.
+/// Turns a picture upright and makes it smaller where it is too large. What is turned is a copy: it
+/// is made smaller before.
 fn finish(picture: &mut Picture, orientation: u8) {
-    reduce(picture);
+    // Which columns and rows are left over stays as it is for upright pictures: the last.
+    reduce_from(
+        picture,
+        matches!(orientation, 2 | 3 | 7 | 8),
+        matches!(orientation, 3 | 4 | 6 | 7),
+    );
     turn(picture, orientation);
 }
 
@@ -317,6 +349,12 @@ fn turn(picture: &mut Picture, orientation: u8) {
 /// Makes a picture with more than [`MAX_MEASURED`] pixels smaller: each pixel is the mean of a
 /// square.
 pub fn reduce(picture: &mut Picture) {
+    reduce_from(picture, false, false);
+}
+
+/// The same; columns on the left, rows at the top are left over where that is said, in place of
+/// those on the right and at the bottom.
+fn reduce_from(picture: &mut Picture, left: bool, top: bool) {
     let (width, height) = (picture.width, picture.height);
     let fits = |factor: &usize| (width / factor) * (height / factor) <= MAX_MEASURED;
     let factor = (1..).find(fits).unwrap_or(1);
@@ -325,12 +363,14 @@ pub fn reduce(picture: &mut Picture) {
     }
     let (across, down) = (width / factor, height / factor);
     let count = (factor * factor) as u32;
+    let first_column = if left { width % factor } else { 0 };
+    let first_row = if top { height % factor } else { 0 };
     // In place: a pixel is never written in front of those that are read for it.
     for y in 0..down {
         for x in 0..across {
             let mut sum = [count / 2; 3];
             for row in 0..factor {
-                let at = 3 * ((y * factor + row) * width + x * factor);
+                let at = 3 * ((first_row + y * factor + row) * width + first_column + x * factor);
                 for pixel in picture.rgb[at..at + 3 * factor].chunks_exact(3) {
                     (0..3).for_each(|channel| sum[channel] += u32::from(pixel[channel]));
                 }

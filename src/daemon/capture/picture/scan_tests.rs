@@ -114,6 +114,29 @@ fn memory_is_bounded_whatever_comes() {
     }
 }
 
+/// Processor time of this thread, s.
+fn processor_s() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").expect("Linux");
+    let nanoseconds = text.split(' ').next().and_then(|word| word.parse::<f64>().ok());
+    nanoseconds.expect("a number") * 1e-9
+}
+
+/// Parts that are announced with 8 MB and cut off after some bytes: each byte is looked at once.
+#[test]
+fn cut_parts_cost_no_more_than_their_bytes() {
+    let part = b"--b\r\nContent-Length: 8388608\r\n\r\n\xff\xd8\xff\xe0";
+    let time = |megabytes: usize| {
+        let stream = part.repeat((megabytes << 20) / part.len());
+        let (mut reader, mut picture) = (Pictures::new(stream.as_slice()), Vec::new());
+        let begun = processor_s();
+        while reader.next(&mut picture).is_ok() {}
+        processor_s() - begun
+    };
+    time(1);
+    let (small, large) = (time(1), time(8));
+    assert!(large < 24.0 * small + 0.05, "1 MB takes {small:.3} s, 8 MB {large:.3} s");
+}
+
 #[test]
 fn rubbish_never_panics() {
     let mut rng = fastrand::Rng::with_seed(7);

@@ -136,6 +136,21 @@ fn large_pictures_are_made_smaller_and_upright_ones_read() {
 }
 
 #[test]
+fn turned_pictures_are_made_smaller_as_upright_ones_are() {
+    // Sizes that leave columns and rows over; both orders, pixel by pixel.
+    let rgb: Vec<u8> = (0..3841 * 2163 * 3).map(|n: usize| ((n * 7919) >> 5) as u8).collect();
+    for orientation in 1..=8 {
+        let mut first = Picture { width: 3841, height: 2163, rgb: rgb.clone() };
+        let mut second = Picture { width: 3841, height: 2163, rgb: rgb.clone() };
+        turn(&mut first, orientation);
+        reduce(&mut first);
+        finish(&mut second, orientation);
+        assert_eq!((first.width, first.height), (second.width, second.height));
+        assert!(first.rgb == second.rgb, "orientation {orientation}");
+    }
+}
+
+#[test]
 fn another_shape_is_refused_by_its_header() {
     let shape = Some(Shape { width: 64, height: 48 });
     let mut picture = Picture::default();

@@ -380,7 +380,7 @@ struct Every {
 impl Every {
     fn decode(&mut self, unit: &mut Unit, shape: Option<Shape>) -> bool {
         if unit.key && self.video.is_none() {
-            self.video = Some(Video::default());
+            self.video = Some(Video::every());
         }
         let Some(video) = &mut self.video else { return false };
         let mut picture = unit.picture.take().unwrap_or_default();

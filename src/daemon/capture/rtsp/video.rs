@@ -47,6 +47,8 @@ pub fn describe(sequence_set: &[u8]) -> Option<Description> {
 /// Decodes pictures one after the other.
 pub struct Video {
     decoder: Decoder,
+    /// Whether more than one picture is decoded: then the decoder keeps those that others build on.
+    keeps_references: bool,
     colour: Colour,
     info: Option<SpsInfo>,
 }
@@ -59,11 +61,17 @@ impl std::fmt::Debug for Video {
 
 impl Default for Video {
     fn default() -> Self {
-        Self { decoder: Decoder::new(), colour: Colour::default(), info: None }
+        let (decoder, colour) = (Decoder::new(), Colour::default());
+        Self { decoder, keeps_references: false, colour, info: None }
     }
 }
 
 impl Video {
+    /// For a stream of which every picture is decoded.
+    pub fn every() -> Self {
+        Self { keeps_references: true, ..Self::default() }
+    }
+
     /// Decodes a picture in Annex B's form, with its parameter sets in front.
     ///
     /// # Errors
@@ -112,6 +120,8 @@ impl Video {
     fn check(&mut self, info: &SpsInfo, shape: Option<Shape>) -> Result<(), DecodeError> {
         picture::check_size(info.width, info.height)?;
         picture::check_size(info.coded_width, info.coded_height)?;
+        let kept = if self.keeps_references { info.reference_frames } else { 0 };
+        picture::check_memory(info.width, info.height, memory(info, kept))?;
         if let Some(shape) = shape.filter(|shape| !shape.admits(info.width, info.height)) {
             return Err(DecodeError::Shape { width: info.width, height: info.height, shape });
         }
@@ -151,6 +161,16 @@ impl Video {
         picture::reduce(picture);
         Ok(())
     }
+}
+
+/// Memory that decoding takes, bytes: the picture, a copy that is given out, those that are kept,
+/// and the pixels.
+fn memory(info: &SpsInfo, kept: u32) -> u64 {
+    let pixels = u64::from(info.coded_width) * u64::from(info.coded_height);
+    // Halves of a sample for each pixel, by chroma_format_idc (H.264, table 6-1).
+    let halves = [2, 3, 4, 6][info.chroma_format.min(3) as usize];
+    let bytes = if info.bit_depth_luma.max(info.bit_depth_chroma) > 8 { 2 } else { 1 };
+    pixels * halves * bytes / 2 * (u64::from(kept) + 2) + pixels * 3
 }
 
 #[cfg(test)]

@@ -2,7 +2,10 @@
 //!
 //! Owns that neither a FIFO keeps the program waiting nor a device fills its memory.
 
-use std::io::{self, ErrorKind};
+use rustix::fs::OFlags;
+use std::fs::OpenOptions;
+use std::io::{self, ErrorKind, Read};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 /// The bytes of a plain file of at most `most` bytes; links are followed.
@@ -10,18 +13,27 @@ use std::path::Path;
 /// # Errors
 /// What the system says, or that it is another kind of file, or larger.
 pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
-    let metadata = std::fs::metadata(path)?;
+    // What is judged is what is read: the name may be another file's a moment later.
+    let flags = i32::try_from(OFlags::NONBLOCK.bits()).unwrap_or(0);
+    let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
+    let metadata = file.metadata()?;
     if metadata.is_dir() {
         return Err(ErrorKind::IsADirectory.into());
     }
     if !metadata.is_file() {
         return Err(io::Error::new(ErrorKind::InvalidInput, "it is not a plain file"));
     }
+    let too_large = |len: u64| {
+        let reason = format!("it has {} MB, more than any that fits", len >> 20);
+        io::Error::new(ErrorKind::FileTooLarge, reason)
+    };
     if metadata.len() > most {
-        let reason = format!("it has {} MB, more than any that fits", metadata.len() >> 20);
-        return Err(io::Error::new(ErrorKind::FileTooLarge, reason));
+        return Err(too_large(metadata.len()));
     }
-    std::fs::read(path)
+    // Files of the kernel say that they are empty.
+    let mut bytes = Vec::new();
+    file.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most { Err(too_large(bytes.len() as u64)) } else { Ok(bytes) }
 }
 
 #[cfg(test)]
@@ -38,6 +50,10 @@ mod tests {
         std::fs::File::create(path("sparse")).and_then(|f| f.set_len(4 << 30)).expect("sparse");
         for name in ["fifo", "zero", "sparse", "none", "."] {
             assert!(read(&path(name), 1 << 20).is_err(), "{name}");
+        }
+        // Plain and of no length, says the kernel of these.
+        for name in ["/proc/kmsg", "/proc/self/pagemap", "/proc/self/maps"] {
+            assert!(read(Path::new(name), 100).is_err(), "{name}");
         }
         std::fs::write(path("right"), b"text").expect("written");
         assert_eq!(read(&path("right"), 4).expect("it fits"), b"text");

@@ -264,3 +264,41 @@ fn centred_box(row: &[f32]) -> PixelBox {
         y1: row[1] + half_height,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_score_that_is_not_a_number_is_a_fault_and_no_empty_road() {
+        use HeadKind::{End2end, NanodetPlus, Picodet, Yolov5, Yolov8, Yolox, YoloxDecoded};
+        for kind in [NanodetPlus, Picodet, Yolox, YoloxDecoded, Yolov5, Yolov8, End2end] {
+            let head = Head {
+                kind,
+                bins: 8,
+                classes: 2,
+                columns: vec![(0, VehicleClass::Vehicle), (1, VehicleClass::Bus)],
+                threshold: 0.3,
+                input: [64.0; 2],
+                levels: Vec::new(),
+                cells: Vec::new(),
+                by_column: false,
+            };
+            let row = vec![0.25; head.row_len()];
+            head.best(&row).expect("numbers");
+            // Where the scores of each kind lie.
+            let (first, last) = match kind {
+                NanodetPlus | Picodet => (0, 1),
+                Yolov8 | End2end => (4, 5),
+                _ => (4, 6),
+            };
+            for (at, wrong) in (first..=last).flat_map(|at| {
+                [f32::NAN, f32::INFINITY, f32::NEG_INFINITY].map(|wrong| (at, wrong))
+            }) {
+                let mut row = row.clone();
+                row[at] = wrong;
+                assert!(head.best(&row).is_err(), "{kind:?}: {wrong} at {at}");
+            }
+        }
+    }
+}

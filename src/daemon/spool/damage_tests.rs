@@ -50,6 +50,31 @@ fn an_error_of_the_disk_acknowledges_nothing() {
 }
 
 #[test]
+fn numbers_that_nobody_can_have_counted_to_are_damage() {
+    let folder = folder();
+    let (mut spool, windows) = filled(&folder, 1);
+    arrears(&mut spool);
+    drop(spool);
+    // With the right checksum: written, and not rotten.
+    let huge = record::Checkpoint { next_key: u64::MAX, last_seq: vec![(60, u64::MAX)] };
+    let mut bytes = Vec::new();
+    record::Record::Checkpoint(huge).write(&mut bytes).expect("it fits");
+    bytes.resize(8192, 0);
+    std::fs::write(folder.path().join("numbers"), &bytes).expect("writing it");
+    let path = files(&folder).remove(0);
+    let mut segment = std::fs::read(&path).expect("a segment");
+    let message = record::tests::message(60, u64::MAX - 1);
+    let window = record::Record::Window { key: u64::MAX - 1, message: Box::new(message) };
+    let mut bytes = Vec::new();
+    window.write(&mut bytes).expect("it fits");
+    let end = segment.len() - bytes.len();
+    segment[end..].copy_from_slice(&bytes);
+    std::fs::write(&path, segment).expect("writing it");
+    let seq = next_seq(&folder);
+    assert!(seq > windows && seq < windows + 10_000, "{seq} after {windows}");
+}
+
+#[test]
 fn a_window_is_given_up_for_damage_alone_and_that_is_counted() {
     let folder = folder();
     let mut spool = open(&folder);

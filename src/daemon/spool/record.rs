@@ -59,6 +59,10 @@ pub(super) struct Checkpoint {
     pub last_seq: Vec<(u32, u64)>,
 }
 
+/// Keys and numbers stay below it: readers of JSON hold larger ones as other numbers, and a box that
+/// closes a window each second gets there in 285 million years.
+const MAX_NUMBER: u64 = 1 << 53;
+
 impl Record {
     /// Appends the record's bytes to `out`; `None` for a message that cannot be written.
     pub(super) fn write(&self, out: &mut Vec<u8>) -> Option<()> {
@@ -132,7 +136,19 @@ impl Record {
             }
             _ => return None,
         };
-        Some((record, len + FRAME))
+        record.has_possible_numbers().then_some((record, len + FRAME))
+    }
+
+    /// Whether this program can have written its numbers: counting on from them comes to no end.
+    fn has_possible_numbers(&self) -> bool {
+        let is_possible = |number: u64| number < MAX_NUMBER;
+        match self {
+            Self::Window { key, message } => is_possible(*key) && is_possible(message.seq),
+            Self::Acknowledged(_) => true,
+            Self::Checkpoint(Checkpoint { next_key, last_seq }) => {
+                is_possible(*next_key) && last_seq.iter().all(|&(_, seq)| is_possible(seq))
+            }
+        }
     }
 }
 

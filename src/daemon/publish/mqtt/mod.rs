@@ -265,3 +265,22 @@ impl Connection {
         self.reports.try_iter().collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_has_panicked_turns_no_more() {
+        let (commands, _kept) = mpsc::channel();
+        let (_sender, reports) = mpsc::channel();
+        let thread = std::thread::spawn(|| panic!("as a fault of the thread would"));
+        while !thread.is_finished() {
+            std::thread::yield_now();
+        }
+        let statistics = Arc::new(Statistics::default());
+        statistics.beat();
+        let connection = Connection { commands, reports, statistics, thread };
+        assert_eq!(connection.stalled(), None);
+    }
+}

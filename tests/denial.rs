@@ -6,7 +6,10 @@ mod common;
 #[path = "common/fake_broker.rs"]
 mod fake_broker;
 
+use common::mosquitto::Running;
 use fake_broker::{FakeBroker, Manners};
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use verge::daemon::outlet::Outlet;
@@ -280,36 +283,40 @@ fn greetings(broker: &FakeBroker) -> usize {
     broker.seen(|seen| seen.taken.iter().filter(|(topic, _)| topic.ends_with("presence")).count())
 }
 
-#[test]
-fn descriptors_that_run_out_do_not_end_publishing() {
-    let (broker, folder) = (FakeBroker::start(Manners::default()), common::folder());
+/// `verge run` on recorded frames, with its spool in `folder`.
+fn daemon(broker: &FakeBroker, folder: &Path, prepare: impl FnOnce(&mut Command)) -> Running {
     let here = std::env::current_dir().expect("a working directory");
     let here = here.display();
     let text = format!(
-        "site = \"deny\"\n[camera]\nid = \"curve\"\ninterval_s = 60\nwatch = false\n\
+        "site = \"deny\"\n[camera]\nid = \"curve\"\ninterval_s = 5\nwatch = false\n\
          source = \"{here}/{}\"\n[model]\nfile = \"{here}/{}\"\n[lane_table]\nfile = \"{here}/{}\"\n\
-         [windows]\nlengths_s = [60]\n[mqtt]\nport = {}\n",
+         [windows]\nlengths_s = [10]\n[mqtt]\nport = {}\n",
         common::STREET_FRAMES,
         common::MODEL,
         common::STREET_TABLE,
         broker.port
     );
-    let path = folder.path().join("verge.toml");
+    let path = folder.join("verge.toml");
     std::fs::write(&path, text).expect("written");
-    let mut daemon = Command::new(env!("CARGO_BIN_EXE_verge"))
-        .args(["run", "--config", path.to_str().expect("UTF-8")])
-        .stderr(Stdio::null())
-        .spawn()
-        .map(common::mosquitto::Running)
-        .expect("it starts");
-    let wait = |what: &str, done: &dyn Fn() -> bool| {
-        let until = Instant::now() + PATIENCE;
-        while !done() {
-            assert!(Instant::now() < until, "{what}");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    };
-    wait("a session", &|| greetings(&broker) > 0);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_verge"));
+    command.args(["run", "--config", path.to_str().expect("UTF-8")]).stderr(Stdio::null());
+    prepare(&mut command);
+    command.spawn().map(Running).expect("it starts")
+}
+
+fn wait(what: &str, done: impl Fn() -> bool) {
+    let until = Instant::now() + PATIENCE;
+    while !done() {
+        assert!(Instant::now() < until, "{what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn descriptors_that_run_out_do_not_end_publishing() {
+    let (broker, folder) = (FakeBroker::start(Manners::default()), common::folder());
+    let mut daemon = daemon(&broker, folder.path(), |_| ());
+    wait("a session", || greetings(&broker) > 0);
     let limit = |soft: &str| {
         let id = daemon.0.id().to_string();
         Command::new("prlimit").args(["--pid", &id, &format!("--nofile={soft}:")]).status()
@@ -321,8 +328,71 @@ fn descriptors_that_run_out_do_not_end_publishing() {
     std::thread::sleep(Duration::from_secs(3));
     let before = greetings(&broker);
     assert!(limit("1024").expect("it ran").success());
-    wait("a new session", &|| greetings(&broker) > before);
+    wait("a new session", || greetings(&broker) > before);
     assert!(daemon.0.try_wait().expect("ours").is_none(), "the process goes on");
+}
+
+/// Stops one thread of another program for as long as this one lives.
+fn freeze(thread: i32) {
+    for request in [libc::PTRACE_SEIZE, libc::PTRACE_INTERRUPT] {
+        // SAFETY: neither request reads or writes memory of ours.
+        let outcome = unsafe { libc::ptrace(request, thread, 0, 0) };
+        assert_eq!(outcome, 0, "{}", std::io::Error::last_os_error());
+    }
+}
+
+/// The number of the daemon's publishing thread.
+fn publishing_thread(daemon: &Running) -> i32 {
+    let tasks = std::fs::read_dir(format!("/proc/{}/task", daemon.0.id())).expect("it lives");
+    let paths = tasks.map(|task| task.expect("a thread").path());
+    let is_it = |path: &PathBuf| {
+        std::fs::read_to_string(path.join("comm")).is_ok_and(|name| name.trim() == "publish")
+    };
+    let path = paths.into_iter().find(is_it).expect("a thread of that name");
+    path.file_name().and_then(|name| name.to_str()?.parse().ok()).expect("a number")
+}
+
+#[test]
+fn a_publishing_thread_that_hangs_ends_the_process_and_the_next_delivers() {
+    // Three minutes by the clock: a name, a connection and a write may each take their time.
+    if std::env::var_os("VERGE_LONG").is_none() {
+        return;
+    }
+    let (broker, folder) = (FakeBroker::start(Manners::default()), common::folder());
+    let name = folder.path().join("notify");
+    let manager = UnixDatagram::bind(&name).expect("a socket");
+    manager.set_nonblocking(true).expect("it is set");
+    let mut first = daemon(&broker, folder.path(), |command| {
+        command.env("NOTIFY_SOCKET", &name);
+    });
+    wait("a window", || broker.windows() > 0);
+    let thread = publishing_thread(&first);
+    freeze(thread);
+    let (frozen, mut fed) = (Instant::now(), Duration::ZERO);
+    let ended = loop {
+        let mut word = [0; 200];
+        while let Ok(length) = manager.recv(&mut word) {
+            if word[..length].starts_with(b"WATCHDOG=1") {
+                fed = frozen.elapsed();
+            }
+        }
+        // A traced thread's end is heard by its tracer before the process is gone.
+        // SAFETY: no status is asked for.
+        unsafe { libc::waitpid(thread, std::ptr::null_mut(), libc::WNOHANG | libc::__WALL) };
+        if let Some(status) = first.0.try_wait().expect("ours") {
+            break status;
+        }
+        assert!(frozen.elapsed() < Duration::from_secs(240), "the process goes on");
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    println!("last fed after {fed:?}, ended after {:?} with {ended}", frozen.elapsed());
+    assert!(fed < Duration::from_secs(70), "the watchdog was fed after {fed:?}");
+    // What the unit's Restart= takes for a failure.
+    assert_eq!(ended.code(), Some(70));
+    let before = broker.windows();
+    let _second = daemon(&broker, folder.path(), |_| ());
+    // A window each ten seconds was accepted meanwhile.
+    wait("what waited", || broker.windows() >= before + 15);
 }
 
 #[test]

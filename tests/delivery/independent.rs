@@ -27,8 +27,6 @@ use verge::wire::{CalibrationRef, ModelRef};
 const BOX: &str = "VERGE_AUDITED_BOX";
 /// Windows that one life of a box has numbers for; it is killed long before.
 const LIFE: i64 = 10_000;
-/// Kills of boxes while one broker lives.
-const KILLS_A_BROKER: usize = 5;
 
 /// The life of a box: accepts a window each 10 ms, the n-th of its life at a minute of its own,
 /// until its input ends; then delivers what waits.
@@ -248,7 +246,7 @@ fn what_the_spools_accepted_has_reached_the_auditor() {
     let broker_port = free_port();
     let proxy = Proxy::start(broker_port);
     let mut random = fastrand::Rng::with_seed(20);
-    let brokers = repetitions(3, 40);
+    let (brokers, kills_a_broker) = (repetitions(3, 100), repetitions(5, 10));
     let mut boxes: Vec<_> = (0..repetitions(3, 8)).map(Audited::new).collect();
     boxes.iter_mut().for_each(|audited| audited.start(proxy.port));
     let mut auditor = Auditor::default();
@@ -257,7 +255,7 @@ fn what_the_spools_accepted_has_reached_the_auditor() {
         let heard = listen(broker_port);
         proxy.turn();
         if round < brokers {
-            for _ in 0..KILLS_A_BROKER {
+            for _ in 0..kills_a_broker {
                 let index = random.usize(..boxes.len());
                 std::thread::sleep(Duration::from_millis(random.u64(30..500)));
                 boxes[index].kill();
@@ -286,7 +284,7 @@ fn what_the_spools_accepted_has_reached_the_auditor() {
         twice += arrived.values().filter(|times| **times > 1).count();
         assert!(!windows.is_empty(), "the spool of box {number} was never read");
     }
-    let kills = brokers * KILLS_A_BROKER;
+    let kills = brokers * kills_a_broker;
     println!(
         "{kills} kills of {} boxes, {brokers} of brokers: {accepted} windows accepted, all arrived, {twice} more than once",
         boxes.len()

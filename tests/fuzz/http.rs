@@ -1,6 +1,7 @@
 //! A camera on a port of this machine that gives a prescribed answer.
 
 use super::common;
+use super::runner::Target;
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener};
 use std::sync::{Arc, Mutex};
@@ -106,4 +107,20 @@ impl Camera {
             Err(error) => error.to_string(),
         }
     }
+}
+
+#[test]
+fn http_answers() {
+    let camera = Camera::start();
+    let target = Target {
+        name: "http_answers",
+        executions: 300,
+        corpus: answers_to_begin_with(),
+        tokens: TOKENS,
+        longest: 1 << 16,
+    };
+    target.run(|_, input| {
+        without_redirects(input);
+        camera.ask(input)
+    });
 }

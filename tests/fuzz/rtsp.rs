@@ -11,7 +11,21 @@ use verge::daemon::capture::rtsp::{Unit, h264, jpeg, rtp::Packet, sdp, video::Vi
 use verge::daemon::capture::{CameraSettings, DecodeError, Source};
 use verge::daemon::frame::{Frame, Picture};
 
-const DESCRIPTION: &str = "v=0\r\na=control:*\r\nm=video 0 RTP/AVP 96\r\na=rtpmap:96 H264/90000\r\n\
+/// Words of a session.
+pub const WORDS: &[&[u8]] = &[
+    b"RTSP/1.0 200 OK\r\n",
+    b"\r\n\r\n",
+    b"CSeq: 1\r\n",
+    b"CSeq: 2\r\n",
+    b"Content-Length: 9\r\n",
+    b"$\0\0\x0c",
+    b"Content-Length: 18446744073709551615\r\n",
+    b"Session: ",
+    b"interleaved=",
+];
+
+/// A camera's description of its video.
+pub const DESCRIPTION: &str = "v=0\r\na=control:*\r\nm=video 0 RTP/AVP 96\r\na=rtpmap:96 H264/90000\r\n\
     a=fmtp:96 packetization-mode=1;sprop-parameter-sets=Z0IACpWoKDmQ,aM48gA==\r\na=framerate:12.5\r\n\
     a=control:trackID=1\r\n";
 
@@ -139,7 +153,7 @@ fn sessions() {
         name: "sessions",
         executions: 100,
         corpus: vec![whole.into_bytes(), b"RTSP/1.0 401 X\r\nCSeq: 1\r\nWWW-Authenticate: Digest realm=\"x\", nonce=\"y\"\r\n\r\n".to_vec()],
-        tokens: &[b"RTSP/1.0 200 OK\r\n", b"\r\n\r\n", b"CSeq: 1\r\n", b"CSeq: 2\r\n", b"Content-Length: 9\r\n", b"$\0\0\x0c", b"Content-Length: 18446744073709551615\r\n", b"Session: ", b"interleaved="],
+        tokens: WORDS,
         longest: 1 << 13,
     };
     target.run(|_, input| {

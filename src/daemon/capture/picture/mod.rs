@@ -150,7 +150,7 @@ fn decode_jpeg(
 ) -> Result<(), DecodeError> {
     let header = jpeg::header(bytes)?;
     let kept = if header.keeps_coefficients { header.coefficients * 2 } else { 0 };
-    let kept = kept + COPIES * bytes.len() as u64;
+    let kept = kept + COPIES * bytes.len().min(super::MAX_PICTURE_BYTES) as u64;
     check(header.width, header.height, header.orientation, 3, kept, shape)?;
     let bytes = match jpeg::EndFinder::default().find(bytes) {
         jpeg::End::At(end) => &bytes[..end],
@@ -212,7 +212,7 @@ fn decode_png(
     let (color, _) = reader.output_color_type();
     let interlaced = reader.info().interlaced;
     let kept = u64::from(width) * u64::from(height) * if interlaced { 4 } else { 0 };
-    let kept = kept + COPIES * bytes.len() as u64;
+    let kept = kept + COPIES * bytes.len().min(super::MAX_PICTURE_BYTES) as u64;
     check(width, height, orientation, 3, kept, shape)?;
     (picture.width, picture.height) = (width as usize, height as usize);
     picture.rgb.clear();

@@ -35,8 +35,10 @@ fn every_finding_has_a_test_that_exists() {
             let is_there = if file.ends_with(".rs") {
                 let (_, behind) = text.split_once(&format!("fn {test}()")).unwrap_or_default();
                 let before = text.len() - behind.len();
-                let above = text[..before].lines().rev().nth(1).unwrap_or_default();
-                !behind.is_empty() && above.trim() == "#[test]"
+                // Above it stand its attributes.
+                let above = text[..before].lines().rev().skip(1);
+                let mut attributes = above.take_while(|line| line.trim().starts_with("#["));
+                !behind.is_empty() && attributes.any(|line| line.trim() == "#[test]")
             } else {
                 text.contains(&test)
             };

@@ -180,8 +180,17 @@ fn given(folder: &Path) -> String {
     };
     link("models", share.join("models"));
     link("street/scenes", share.join("scenes"));
-    for name in ["curve", "curve.lut"] {
-        link(&format!("tests/data/{name}"), folder.join(name));
+    link("tests/data/curve.lut", folder.join("curve.lut"));
+    // One minute of the recording is enough.
+    let frames = folder.join("curve/frames");
+    fs::create_dir_all(&frames).expect("a folder");
+    let recorded = fs::read_dir(tree.join("tests/data/curve/frames")).expect("it ships");
+    let mut names: Vec<String> = recorded
+        .map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    for name in names.iter().take(30) {
+        link(&format!("tests/data/curve/frames/{name}"), frames.join(name));
     }
     share.to_string_lossy().into_owned()
 }

@@ -209,7 +209,7 @@ fn what_is_published_stands_in_the_document() {
         let (_, message) =
             entries(&document["channels"][&name], "messages").next().expect("one message");
         let file = schema_file(resolved(&document, message));
-        let schema = fs::read_to_string(Path::new("docs").join(file)).expect("it ships");
+        let schema = fs::read_to_string(Path::new("docs/reference").join(file)).expect("it ships");
         let schema = serde_json::from_str(&schema).expect("JSON");
         let text = String::from_utf8(bytes).expect("text");
         let payload = if name == "presence" {

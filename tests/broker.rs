@@ -355,6 +355,10 @@ fn mosquitto_sub_receives_what_the_daemon_publishes() {
                 let id = daemon.0.id().to_string();
                 Command::new("kill").args(["-TERM", &id]).status().expect("kill runs");
             }
+            "latest/10s" => {
+                validate("density", &serde_json::from_str(message).expect("JSON"));
+                seen.push("latest");
+            }
             other => panic!("unexpected topic {other}"),
         }
         seen.push(if message == "shutdown" { "shutdown" } else { "message" });
@@ -362,7 +366,17 @@ fn mosquitto_sub_receives_what_the_daemon_publishes() {
             break;
         }
     }
-    assert!(seen.contains(&"density") && seen.contains(&"shutdown"), "{seen:?}");
+    for kind in ["density", "latest", "shutdown"] {
+        assert!(seen.contains(&kind), "{kind} is missing: {seen:?}");
+    }
+    // Who comes later sees the latest window, and no other one.
+    let late = Command::new("mosquitto_sub")
+        .args(["-p", &port.to_string(), "-v", "-W", "2", "-t", "verge/k109f/#"])
+        .output()
+        .expect("mosquitto_sub runs");
+    let late = String::from_utf8(late.stdout).expect("UTF-8");
+    assert!(late.contains("verge/k109f/latest/10s {"), "{late}");
+    assert!(!late.contains("/density/"), "{late}");
 }
 
 #[test]

@@ -114,7 +114,8 @@ fn channels() -> [Channel; 6] {
             name: "latest",
             topic: Topic::Latest(window),
             message: "density",
-            description: "The latest live window of each length, the same bytes as on `density`,                 for those who come later. Absent with `mqtt.latest = false`.",
+            description: "The latest live window of each length, the same bytes as on `density`, \
+                for those who come later. Absent with `mqtt.latest = false`.",
         },
         Channel {
             name: "replay",

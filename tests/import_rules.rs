@@ -324,7 +324,8 @@ const DOORS: [(&str, &str); 14] = [
     ("png", "src/daemon/capture/picture/"),
     ("rust_h264", "src/daemon/capture/rtsp/video.rs"),
     ("http_auth", "src/daemon/capture/network/"),
-    ("flate2", "src/daemon/capture/"),
+    // In answers of cameras, and in messages that are piped into `convert`.
+    ("flate2", "src/daemon/capture/ src/daemon/commands/convert.rs"),
     ("v4l", "src/daemon/capture/v4l2.rs"),
     ("linux_embedded_hal", "boards/linux/"),
     ("nalgebra", "calib/"),

@@ -19,8 +19,7 @@
 //!
 //! Numbers are little-endian.
 
-use super::exit::Failure;
-use super::output::WholeFile;
+use super::output::{WholeFile, WriteError};
 use super::plain;
 use crate::scene::{EmptyRoad, Known, MAX_SIDE, MeanCell};
 use crate::units::UtcMs;
@@ -88,11 +87,11 @@ impl Road {
     /// Writes the file, whole or not at all.
     ///
     /// # Errors
-    /// [`Failure::Write`].
-    pub fn write(&self, path: &Path, camera: &str, now: UtcMs) -> Result<(), Failure> {
+    /// [`WriteError`] names the file.
+    pub fn write(&self, path: &Path, camera: &str, now: UtcMs) -> Result<(), WriteError> {
         let mut file = WholeFile::create(path)?;
         file.bytes(&self.encode(camera, now))?;
-        Ok(file.finish()?)
+        file.finish()
     }
 
     fn encode(&self, camera: &str, now: UtcMs) -> Vec<u8> {

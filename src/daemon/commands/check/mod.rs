@@ -15,7 +15,6 @@ use crate::daemon::line::Line;
 use crate::daemon::offset::Offset;
 use crate::daemon::output::WholeFile;
 use crate::daemon::publish::{self, payload::status_name};
-use crate::daemon::scene::Scene;
 use crate::daemon::station::Station;
 use crate::health::Event;
 use std::borrow::Cow;
@@ -175,7 +174,7 @@ fn draw(station: &Station, withheld: &str, file: &Path) -> Result<String, Failur
 pub(super) fn withheld(alarm: Alarm, line: &Line) -> Failure {
     let hint = match alarm {
         Alarm::CameraMoved => {
-            let offset = line.scene().and_then(Scene::offset);
+            let offset = line.scene().and_then(|scene| scene.offset());
             return Failure::Withheld {
                 reason: alarm.name(),
                 status: status_name(alarm.status()),

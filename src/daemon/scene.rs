@@ -276,6 +276,11 @@ impl Scene {
         self.shift.map_or((0.0, 0.0), |shift| (shift.u / px, shift.v / px))
     }
 
+    /// Whether a table has a reference by which the aim is checked.
+    pub fn is_aimed(&self) -> bool {
+        self.aiming() != Aiming::Unchecked
+    }
+
     /// What the camera's aim is known to be.
     pub fn aiming(&self) -> Aiming {
         let grid = self.buffers.as_ref().map(|buffers| buffers.eye.grid());

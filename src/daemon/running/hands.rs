@@ -2,7 +2,7 @@
 //!
 //! Owns the outlet, and how faults are reported. Decides nothing.
 
-use super::report;
+use super::{log_lines, report};
 use crate::alarm::Alarm;
 use crate::daemon::certificate;
 use crate::daemon::clock;
@@ -68,7 +68,7 @@ impl Hands {
         match action {
             Action::Window { window, clock_synced } => {
                 if window.report.to.saturating_since(window.report.from) == self.longest {
-                    log::info!("{}", report::in_words(window.report));
+                    log::info!("{}", log_lines::window(window.report));
                 }
                 self.outlet.density(window, clock_synced);
                 self.note_difference(window.report);

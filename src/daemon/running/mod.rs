@@ -6,6 +6,7 @@
 //! Knows no signal and no service manager.
 
 mod hands;
+mod log_lines;
 mod report;
 mod road;
 mod takeover;
@@ -92,7 +93,7 @@ impl Running {
     ) -> Self {
         let (model, table) = station.line().describe();
         log::info!("{model}; {table}");
-        log::info!("{}", report::first_numbers(&config.window_lengths(), clock::now()));
+        log::info!("{}", log_lines::first_numbers(&config.window_lengths(), clock::now()));
         Self {
             hands: Hands::new(&config, station.line(), outlet),
             road: road::Keeper::new(config.road_file()),

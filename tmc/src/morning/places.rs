@@ -1,12 +1,11 @@
 //! Where sites are and what people call them: by their own messages, and by a table that the centre
 //! keeps, which has the last word.
 //!
-//! Owns the table's columns and what may stand in them, and GeoJSON (RFC 7946) of all sites.
+//! Owns the table's columns and what may stand in them.
 
 use crate::csv::{Column, Row, Table};
-use crate::report::Summary;
 use crate::store::events::{self, PlaceRow};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 use verge_desk::Failure;
@@ -109,38 +108,6 @@ fn lane_names(json: &str) -> BTreeMap<i32, String> {
         Some((number, lane["name"].as_str()?.to_owned()))
     };
     lanes.iter().filter_map(name).collect()
-}
-
-/// All sites as GeoJSON, each with its figures; one without a position has no geometry.
-pub fn geojson(summaries: &[Summary], places: &BTreeMap<String, Known>) -> Vec<u8> {
-    let unknown = Known::default();
-    let feature = |summary: &Summary| {
-        let place = &places.get(&summary.site).unwrap_or(&unknown).place;
-        let (mean, [archived, known]) = (summary.mean(), summary.completeness_pct());
-        let rounded = |value: f64| (value * 100.0).round() / 100.0;
-        json!({
-            "type": "Feature",
-            "id": summary.site,
-            "geometry": place.position().map(|[latitude, longitude]| {
-                json!({ "type": "Point", "coordinates": [longitude, latitude] })
-            }),
-            "properties": {
-                "site": summary.site,
-                "name": place.name,
-                "road": place.road,
-                "direction": place.direction,
-                "bearing": place.bearing,
-                "mean_density_veh_km": mean.value().map(rounded),
-                "low90_veh_km": mean.interval().map(|[low, _]| rounded(low)),
-                "high90_veh_km": mean.interval().map(|[_, high]| rounded(high)),
-                "archived_pct": rounded(archived),
-                "known_pct": rounded(known),
-            },
-        })
-    };
-    let features: Vec<_> = summaries.iter().map(feature).collect();
-    let all = json!({ "type": "FeatureCollection", "features": features });
-    format!("{all}\n").into_bytes()
 }
 
 #[cfg(test)]

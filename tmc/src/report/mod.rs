@@ -2,10 +2,12 @@
 //!
 //! Owns the command and its order: the morning of all sites, then some sites at a time, each asked
 //! for its sums and written into its folder. `queries` asks, `engine` answers, on this machine or on a cluster,
-//! `summary` holds the sums, `charts` draws, `page` writes HTML and CSV.
+//! `summary` holds the sums, `charts` draws, `page` writes HTML and CSV,
+//! `geojson` what maps read.
 
 mod charts;
 mod engine;
+mod geojson;
 mod page;
 mod queries;
 mod summary;

@@ -1,6 +1,7 @@
 //! The files of a report: HTML with its charts inside, PNG, CSV.
 
 use super::charts;
+use super::geojson::geojson;
 use super::queries::BINS;
 use super::summary::Summary;
 use super::sums::Mean;
@@ -209,7 +210,7 @@ pub(super) fn index_files(
         ("trouble.csv".to_owned(), trouble.into_bytes()),
         ("last_day.csv".to_owned(), morning.last_day_csv().into_bytes()),
         ("sites.csv".to_owned(), csv.into_bytes()),
-        ("sites.geojson".to_owned(), places::geojson(summaries, &places)),
+        ("sites.geojson".to_owned(), geojson(summaries, &places)),
     ];
     for (name, drawing) in drawings {
         body += &paper(&drawing);

@@ -7,7 +7,6 @@ use crate::daemon::capture::Source;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::offset::Offset;
-use crate::daemon::scene::{Aiming, Scene};
 use crate::daemon::station::Station;
 use std::io::Write;
 use std::path::Path;
@@ -26,7 +25,7 @@ const STEADY: u32 = 10;
 pub fn run(path: &Path) -> Result<(), Failure> {
     let mut config = Config::read(path)?;
     let line = open_line(&config)?;
-    let is_aimed = line.scene().is_some_and(|scene| scene.aiming() != Aiming::Unchecked);
+    let is_aimed = line.scene().is_some_and(|scene| scene.is_aimed());
     if !is_aimed {
         return Err(Failure::NothingToAimBy);
     }
@@ -42,7 +41,7 @@ pub fn run(path: &Path) -> Result<(), Failure> {
             Ok(None) => "the same picture as before".to_owned(),
             Ok(Some(flaw)) if !flaw.is_empty() => format!("the picture cannot be judged: {flaw}"),
             Ok(Some(_)) => {
-                let offset = station.line().scene().and_then(Scene::offset);
+                let offset = station.line().scene().and_then(|scene| scene.offset());
                 steady = if offset.is_some_and(|o| o.is_in_place()) { steady + 1 } else { 0 };
                 Offset::words(offset.as_ref())
             }

@@ -41,7 +41,11 @@ export function collect(first) {
   return new Promise((resolve) => {
     let state = first;
     let problem = "";
+    // An answer that comes after the end must not draw over the next step.
+    let over = false;
     const done = async () => {
+      if (over) return;
+      over = true;
       await server.useCollected();
       live.hidden = true;
       byId("canvas").hidden = false;
@@ -62,6 +66,7 @@ export function collect(first) {
     const poll = async () => {
       const was = state.state;
       await ask(server.collection);
+      if (over) return;
       if (state.state === "running") setTimeout(poll, POLL_MS);
       else if (was === "running" && state.state === "done") done();
     };
@@ -105,6 +110,7 @@ export function collect(first) {
       ];
     };
     const render = () => {
+      if (over) return;
       if (state.latest && live.dataset.name !== state.latest) {
         live.dataset.name = state.latest;
         live.src = server.pictureAddress(state.latest);

@@ -8,7 +8,7 @@ use super::sums::Mean;
 use crate::chart::Drawing;
 use crate::html::{escaped, page};
 use crate::morning::map::Tiles;
-use crate::morning::places::{self, Known};
+use crate::morning::places::Known;
 use crate::morning::{Morning, SiteNow};
 use crate::store;
 use std::collections::BTreeMap;

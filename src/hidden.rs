@@ -14,7 +14,7 @@
 //! Along a lane, from the camera on, the distance from one counted vehicle to the next, less what the
 //! nearer one is longer than a car, is compared with the median `q` of such distances around it,
 //! those of a queue ([`TIGHT_M`]) within [`REACH_M`]; fewer than [`LEAST_TIGHT`] of them are no queue. A
-//! distance of `n + 1` times `q` has places for `n` more vehicles (the last one from [`PLACE`] on), and a
+//! distance of `n + 1` times `q` has places for `n` more vehicles (the last one from `PLACE` on), and a
 //! place counts where boxes that stand nearer hide at least [`COVERED`] of a car in it: where it shows
 //! more, it would have been found. The four numbers were chosen on seven recordings of the simulated
 //! street (seeds 601 to 606, 608); where every vehicle is found they add 2 to 4 veh/km to a queue of 110.

@@ -87,7 +87,7 @@ impl Road {
     /// Writes the file, whole or not at all.
     ///
     /// # Errors
-    /// [`WriteError`] names the file.
+    /// `WriteError` names the file.
     pub fn write(&self, path: &Path, camera: &str, now: UtcMs) -> Result<(), WriteError> {
         let mut file = WholeFile::create(path)?;
         file.bytes(&self.encode(camera, now))?;

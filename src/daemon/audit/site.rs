@@ -128,7 +128,7 @@ impl SiteFile {
     /// Writes the file, whole or not at all.
     ///
     /// # Errors
-    /// [`WriteError`].
+    /// `WriteError`.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
         let failed =
             |error| WriteError { path: path.to_owned(), source: std::io::Error::other(error) };

@@ -121,7 +121,7 @@ pub struct Config {
 
 impl Config {
     /// Reads and checks a configuration. Relative paths in it count from its folder; a model or a
-    /// lane table that is not there is looked for where [`places::find`] says.
+    /// lane table that is not there is looked for where `places::find` says.
     ///
     /// # Errors
     /// [`ConfigError`] names file, key and reason.

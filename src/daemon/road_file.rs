@@ -2,7 +2,7 @@
 //!
 //! Owns the file's format, and when it is not taken. A restart would else begin with what the lane
 //! table knows, and count marks for hours until the road is learned again. Nothing depends on the file:
-//! what is wrong with it costs that memory and is said in the log.
+//! what is wrong with it costs that memory and is logged.
 //!
 //! | offset | bytes | field |
 //! |---|---|---|

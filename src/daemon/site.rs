@@ -14,7 +14,7 @@ use verge_messages::{LaneName, MOST_LANES, Place, check_lane};
 pub struct Site {
     /// Its name, in topics and messages.
     pub id: String,
-    /// Where it is; none where nothing is said of it.
+    /// Where it is; none where the file does not say.
     pub place: Option<Place>,
     /// What its lanes are called.
     pub lanes: Vec<LaneName>,

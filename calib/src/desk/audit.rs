@@ -112,7 +112,7 @@ impl Audit {
     /// and named in the configuration.
     ///
     /// # Errors
-    /// As [`Self::choose`]; contradictions are told by the state.
+    /// As [`Self::choose`]; the state shows contradictions.
     pub fn compare(&self, site: &Site, answers: &[Answer]) -> Result<()> {
         let mut command = self.command(site)?;
         let mut text = String::from("frame,lane,vehicles\n");

@@ -1,8 +1,8 @@
 //! `verge collect`: pictures of a camera into a folder, as the sensor would take them.
 //!
 //! Owns how long it goes on, the files' names (the time in UTC, which recordings are read by),
-//! and what ends it: a camera that gives no first picture does, later faults are said and waited
-//! out.
+//! and what ends it: a camera that gives no first picture does, later faults are printed and
+//! waited out.
 
 use crate::daemon::assemble::camera_at;
 use crate::daemon::capture::{Captured, Source, jpeg};

@@ -67,7 +67,7 @@ fn keys() -> (String, Vec<Key<'static>>) {
             }
             about.push_str(text);
         } else {
-            // The first blank line ends what is said of all of it.
+            // The first blank line ends the text on the whole section.
             top.get_or_insert_with(|| about.trim().to_owned());
             about.clear();
             fresh = false;

@@ -9,7 +9,7 @@ use std::fmt::{Display, Write};
 use std::time::Duration;
 use verge_messages::{Alarm, Density, Lane, Status, Utc, window_name};
 
-/// A window is told for so many of its lengths.
+/// A window is exported for so many of its lengths.
 const WINDOWS: i64 = 3;
 /// And so long on top of that, ms.
 const PATIENCE_MS: i64 = 15 * 60_000;
@@ -292,7 +292,7 @@ mod tests {
         }
         let density = "verge_lane_density_vehicles_per_kilometre{";
         assert_eq!(out.matches(density).count(), 1, "a lane without a density has no sample");
-        // An hour later the window is old: its end is told, and nothing of it.
+        // An hour later the window is old: only its end is exported.
         let later = text(&state, Utc(NOW.0 + 3_600_000));
         assert!(!later.contains(density) && later.contains("verge_window_end_timestamp_seconds{"));
     }

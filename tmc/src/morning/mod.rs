@@ -215,7 +215,7 @@ fn recent(root: &Path, days: &[Partition], today: i64, told: &mut Vec<String>) -
     let chosen = if chosen.is_empty() { days.last().into_iter().collect() } else { chosen };
     for partition in chosen {
         match Day::read(&partition.path(root)) {
-            // A box that was set up anew yesterday has the length that it has now.
+            // A box that was set up again yesterday has the length that it has now.
             Ok(day) if day.window_s != all.window_s => all = day,
             Ok(day) => all.readings.extend(day.readings),
             Err(failure) => told.push(failure.to_string()),

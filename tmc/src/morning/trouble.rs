@@ -77,7 +77,7 @@ pub fn judge(
         lanes.entry(reading.lane).or_default().push(*reading);
     }
     lanes.values_mut().for_each(|all| all.sort_by_key(|reading| reading.from_ms));
-    // Lanes with the same trouble since the same time are told together.
+    // Lanes with the same trouble since the same time are listed together.
     let mut together = BTreeMap::<(i64, String), Vec<String>>::new();
     let ok = i32::from(Status::Ok.number());
     for (lane, readings) in lanes.into_iter().filter(|(_, all)| last(all).from_ms == last_ms) {
@@ -152,7 +152,7 @@ fn alarm_words(name: &str) -> String {
     }
 }
 
-/// The status that lanes have because of an alarm: it is told once.
+/// The status that lanes have because of an alarm, which is listed once.
 fn explains(name: &str) -> Option<i32> {
     let status = match known(name)? {
         Alarm::NoPicture => Status::SensorFailure,

@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let none = || Desk::content(&arguments.archive, 0, reason).into();
         return Err(all.failed.into_iter().next().unwrap_or_else(none));
     }
-    // A site of which nothing could be read has no page; what is wrong with it is told.
+    // A site of which nothing could be read has no page; what is wrong with it is printed.
     let mut shown = Morning::clone(&morning);
     shown.sites.retain(|site| summaries.iter().any(|summary| summary.site == site.site));
     write_all(&arguments.out, page::index_files(summaries, &shown, tiles.as_ref()))?;

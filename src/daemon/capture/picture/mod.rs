@@ -352,8 +352,8 @@ pub fn reduce(picture: &mut Picture) {
     reduce_from(picture, false, false);
 }
 
-/// The same; columns on the left, rows at the top are left over where that is said, in place of
-/// those on the right and at the bottom.
+/// The same. Columns that are left over are those on the right, or on the `left`; rows those at the
+/// bottom, or at the `top`.
 fn reduce_from(picture: &mut Picture, left: bool, top: bool) {
     let (width, height) = (picture.width, picture.height);
     let fits = |factor: &usize| (width / factor) * (height / factor) <= MAX_MEASURED;

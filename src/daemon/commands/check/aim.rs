@@ -21,7 +21,7 @@ const STEADY: u32 = 10;
 ///
 /// # Errors
 /// [`Failure`] where configuration, model or table cannot be used, or there is nothing to aim by. A
-/// camera that gives no picture is told, and asked again.
+/// camera that gives no picture is reported and asked again.
 pub fn run(path: &Path) -> Result<(), Failure> {
     let mut config = Config::read(path)?;
     let line = open_line(&config)?;

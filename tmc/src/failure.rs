@@ -1,8 +1,7 @@
 //! Why a command of the centre failed: what all programs fail at, and the services it needs.
 
-use std::path::PathBuf;
 use verge_desk::Exit;
-use verge_desk::sysexits::{SOFTWARE, UNAVAILABLE};
+use verge_desk::sysexits::UNAVAILABLE;
 
 /// Why a command failed: what, where, what to do.
 #[derive(Debug, thiserror::Error)]
@@ -16,14 +15,6 @@ pub enum Failure {
         /// Host and port.
         address: String,
         /// What happened.
-        reason: String,
-    },
-    /// A query that the archive's engine could not answer.
-    #[error("a query of {} failed: {reason}; more memory, or fewer --threads, may help", path.display())]
-    Query {
-        /// The archive.
-        path: PathBuf,
-        /// What the engine says.
         reason: String,
     },
     /// A cluster that cannot be reached, or that failed.
@@ -51,7 +42,6 @@ impl Exit for Failure {
         match self {
             Self::Desk(failure) => failure.exit_code(),
             Self::Broker { .. } | Self::Cluster { .. } => UNAVAILABLE,
-            Self::Query { .. } => SOFTWARE,
         }
     }
 }

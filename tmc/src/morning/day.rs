@@ -4,10 +4,10 @@
 //! file count; what is not known is not known.
 
 use crate::store::DAY_MS;
-use datafusion::arrow::array::{Array, AsArray, PrimitiveArray, RecordBatch};
-use datafusion::arrow::datatypes::{
+use arrow_array::types::{
     ArrowPrimitiveType, Float32Type, Int32Type, Int64Type, TimestampMillisecondType,
 };
+use arrow_array::{Array, PrimitiveArray, RecordBatch, cast::AsArray};
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use std::fs::File;

@@ -8,10 +8,10 @@
 use super::day::{BINS, Day, Quarter};
 use crate::store::events::{Record, read_table, write_table};
 use crate::store::{Partition, date};
-use datafusion::arrow::array::{
-    Array, ArrayRef, AsArray, FixedSizeListArray, RecordBatch, StringArray,
-};
-use datafusion::arrow::datatypes::{DataType, Field, Float32Type};
+use arrow_array::cast::AsArray;
+use arrow_array::types::Float32Type;
+use arrow_array::{Array, ArrayRef, FixedSizeListArray, RecordBatch, StringArray};
+use arrow_schema::{DataType, Field};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};

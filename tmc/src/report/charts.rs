@@ -1,7 +1,6 @@
 //! The charts of a report: average day, week, density along the road, completeness.
 
-use super::queries::{BINS, LANES};
-use super::summary::Summary;
+use super::summary::{BINS, LANES, Summary};
 use super::sums::Mean;
 use crate::chart::axes::{Tick, round_ticks};
 use crate::chart::{Anchor, Axes, Colour, Drawing, Shape, UNKNOWN, shade};

@@ -1,38 +1,34 @@
 //! `verge-tmc report`: what the archive says about time, weekday and place.
 //!
-//! Owns the command and its order: the morning of all sites, then some sites at a time, each asked
-//! for its sums and written into its folder. `queries` asks, `engine` answers, on this machine or on a cluster,
-//! `summary` holds the sums, `charts` draws, `page` writes HTML and CSV,
-//! `geojson` what maps read.
+//! Owns the command and its order: the morning of all sites, then some sites at a time, each added up
+//! and written into its folder. `pass` adds up, or `cluster` asks others to, in the words of `queries`;
+//! `summary` holds the sums, `charts` draws, `page` writes HTML and CSV, `geojson` what maps read.
 
 mod charts;
-mod engine;
+#[cfg(feature = "ballista")]
+mod cluster;
 mod geojson;
 mod page;
+mod pass;
+#[cfg(feature = "ballista")]
 mod queries;
 mod summary;
 #[cfg(test)]
 mod summary_tests;
 mod sums;
 
-pub use queries::BINS;
-pub use summary::Summary;
+pub use summary::{BINS, Summary};
 pub use sums::Mean;
 
 use crate::failure::Failure;
 use crate::morning::map::Tiles;
 use crate::morning::places::{self, Places};
 use crate::morning::{Morning, Options};
-use crate::store::{self, DAY_MS, Partition, Rows};
-use engine::Engine;
-use queries::Scope;
+use crate::store::{self, DAY_MS, Partition, densities};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use tokio::task::JoinSet;
+use std::sync::Mutex;
 use verge_desk::{Batch, Failure as Desk, print};
-
-/// Parts of a query on a cluster: a site's days are shared out between that many tasks.
-const CLUSTER_PARTITIONS: usize = 8;
 
 /// Arguments of `report`.
 #[derive(clap::Args, Debug)]
@@ -93,11 +89,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .or_else(|| std::thread::available_parallelism().ok().map(Into::into))
         .unwrap_or(1)
         .max(1);
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(threads)
-        .enable_all()
-        .build()
-        .map_err(|error| Desk::Usage(format!("--threads {threads}: {error}")))?;
     let options = Options {
         only: arguments.site.clone(),
         made_ms: now_ms()?,
@@ -105,9 +96,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         offset_ms,
         threads,
     };
-    let morning = Arc::new(Morning::of(&arguments.archive, &places, &options)?);
-    let mut all =
-        runtime.block_on(summarise_all(arguments, sites, &morning, offset_ms, threads))?;
+    let morning = Morning::of(&arguments.archive, &places, &options)?;
+    let mut all = summarise_all(arguments, sites, &morning, offset_ms, threads)?;
     let summaries = &mut all.summaries;
     summaries.sort_by(|a, b| a.site.cmp(&b.site));
     if summaries.is_empty() {
@@ -116,7 +106,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Err(all.failed.into_iter().next().unwrap_or_else(none));
     }
     // A site of which nothing could be read has no page; what is wrong with it is printed.
-    let mut shown = Morning::clone(&morning);
+    let mut shown = morning;
     shown.sites.retain(|site| summaries.iter().any(|summary| summary.site == site.site));
     write_all(&arguments.out, page::index_files(summaries, &shown, tiles.as_ref()))?;
     let rows: u64 = summaries.iter().map(|summary| summary.rows).sum();
@@ -157,78 +147,123 @@ struct All {
 /// A site with its days.
 type Site = (String, Vec<Partition>);
 
-/// Writes every site's folder, `threads` at a time; their sums.
-async fn summarise_all(
-    arguments: &Arguments,
-    sites: Vec<Site>,
-    morning: &Arc<Morning>,
-    offset_ms: i64,
-    threads: usize,
-) -> Result<All, Failure> {
-    // Few sites are split, so that no processor is without work; many are one part each.
-    let partitions = if arguments.cluster.is_some() {
-        CLUSTER_PARTITIONS
-    } else {
-        threads.div_ceil(sites.len())
-    };
-    let cluster = arguments.cluster.as_deref();
-    let engine = Arc::new(Engine::open(&arguments.archive, cluster, partitions).await?);
-    let (mut sites, mut running) = (sites.into_iter(), JoinSet::new());
-    let mut all = All::default();
-    loop {
-        while let Some((site, days)) = (running.len() < threads).then(|| sites.next()).flatten() {
-            let engine = Arc::clone(&engine);
-            let archive = arguments.archive.clone();
-            let folder = arguments.out.join("sites").join(&site);
-            let ends = [days[0].day, days[days.len() - 1].day];
-            let (without, window_s) = (Vec::new(), arguments.window);
-            let morning = Arc::clone(morning);
-            let mut scope = Scope { site, days: ends, without, window_s, offset_ms };
-            running.spawn(async move {
-                let mut failed = Vec::new();
-                let mut summary = summarise(&engine, scope.clone()).await;
-                if summary.is_err() {
-                    // The engine does not name the file that it could not read.
-                    let damaged = damage(&archive, &days);
-                    if !damaged.is_empty() && damaged.len() < days.len() {
-                        scope.without = damaged.iter().map(|(day, _)| *day).collect();
-                        failed.extend(damaged.into_iter().map(|(_, failure)| failure));
-                        summary = summarise(&engine, scope).await;
-                    } else if let Some((_, failure)) = damaged.into_iter().next() {
-                        summary = Err(failure);
-                    }
-                }
-                let summary = summary.and_then(|summary| {
-                    if summary.is_empty() {
-                        return Ok(None);
-                    }
-                    write_all(&folder, page::site_files(&summary, &morning))?;
-                    Ok(Some(summary.without_places()))
-                });
-                (summary, failed)
-            });
-        }
-        let Some(done) = running.join_next().await else { return Ok(all) };
-        match done {
-            Ok((summary, failed)) => {
-                all.failed.extend(failed);
-                match summary {
-                    Ok(summary) => all.summaries.extend(summary),
-                    // Without its cluster no site can be asked, and a full disk takes none.
-                    Err(
-                        failure @ (Failure::Cluster { .. } | Failure::Desk(Desk::Write { .. })),
-                    ) => {
-                        return Err(failure);
-                    }
-                    Err(failure) => all.failed.push(failure),
-                }
+/// Who adds up a site's rows.
+enum Adder {
+    /// This program, file by file.
+    Here,
+    #[cfg(feature = "ballista")]
+    Cluster(cluster::Cluster),
+}
+
+impl Adder {
+    fn of(arguments: &Arguments, threads: usize) -> Result<Self, Failure> {
+        match &arguments.cluster {
+            None => Ok(Self::Here),
+            #[cfg(feature = "ballista")]
+            Some(address) => {
+                Ok(Self::Cluster(cluster::Cluster::open(&arguments.archive, address, threads)?))
             }
-            Err(panic) => {
-                let reason = format!("a site's page could not be made: {panic}");
-                all.failed.push(Desk::content(&arguments.archive, 0, reason).into());
+            #[cfg(not(feature = "ballista"))]
+            Some(address) => {
+                let _ = threads;
+                let how = "this program was built without the feature ballista";
+                Err(Failure::usage(format!("--cluster {address:?}: {how}")))
             }
         }
     }
+
+    /// The sums of a site's days.
+    fn site(
+        &self,
+        arguments: &Arguments,
+        site: &str,
+        days: &[Partition],
+        offset_ms: i64,
+    ) -> Result<Summary, Failure> {
+        let (archive, window_s) = (&arguments.archive, arguments.window);
+        match self {
+            Self::Here => Ok(pass::site(archive, site, days, window_s, offset_ms)?),
+            #[cfg(feature = "ballista")]
+            Self::Cluster(cluster) => {
+                let days = days.iter().map(|day| day.day).collect();
+                cluster.site(queries::Scope { site: site.to_owned(), days, window_s, offset_ms })
+            }
+        }
+    }
+}
+
+/// Writes every site's folder, `threads` at a time; their sums.
+fn summarise_all(
+    arguments: &Arguments,
+    sites: Vec<Site>,
+    morning: &Morning,
+    offset_ms: i64,
+    threads: usize,
+) -> Result<All, Failure> {
+    let adder = Adder::of(arguments, threads)?;
+    let queue = Mutex::new(sites.into_iter());
+    let all = Mutex::new(Ok(All::default()));
+    let whole = "no thread panics with it";
+    let work = || loop {
+        let Some((site, days)) = queue.lock().expect(whole).next() else { return };
+        let made = || one_site(&adder, arguments, &site, days, morning, offset_ms);
+        let made = catch_unwind(AssertUnwindSafe(made));
+        let mut all = all.lock().expect(whole);
+        let Ok(sums) = &mut *all else { return };
+        match made {
+            Ok((summary, failed)) => {
+                sums.failed.extend(failed);
+                match summary {
+                    Ok(summary) => sums.summaries.extend(summary),
+                    // Without its cluster no site can be asked, and a full disk takes none.
+                    Err(
+                        failure @ (Failure::Cluster { .. } | Failure::Desk(Desk::Write { .. })),
+                    ) => *all = Err(failure),
+                    Err(failure) => sums.failed.push(failure),
+                }
+            }
+            Err(_) => {
+                let reason = format!("the page of site {site} could not be made: a fault of verge");
+                sums.failed.push(Desk::content(&arguments.archive, 0, reason).into());
+            }
+        }
+    };
+    std::thread::scope(|scope| (0..threads).for_each(|_| drop(scope.spawn(work))));
+    all.into_inner().expect(whole)
+}
+
+/// Writes a site's folder. Its sums, none where no window is of the wanted length; and what is wrong
+/// with its days.
+fn one_site(
+    adder: &Adder,
+    arguments: &Arguments,
+    site: &str,
+    mut days: Vec<Partition>,
+    morning: &Morning,
+    offset_ms: i64,
+) -> (Result<Option<Summary>, Failure>, Vec<Failure>) {
+    let mut failed = Vec::new();
+    let mut summary = adder.site(arguments, site, &days, offset_ms);
+    if summary.is_err() {
+        // A day that cannot be read costs itself. A cluster does not name the file.
+        let mut damaged = damage(&arguments.archive, &days);
+        if damaged.len() == days.len() {
+            summary = Err(damaged.swap_remove(0).1);
+        } else if !damaged.is_empty() {
+            days.retain(|day| damaged.iter().all(|(damaged, _)| *damaged != day.day));
+            failed.extend(damaged.into_iter().map(|(_, failure)| failure));
+            summary = adder.site(arguments, site, &days, offset_ms);
+        }
+    }
+    let folder = arguments.out.join("sites").join(site);
+    let written = summary.and_then(|summary| {
+        if summary.is_empty() {
+            return Ok(None);
+        }
+        write_all(&folder, page::site_files(&summary, morning))?;
+        Ok(Some(summary.without_places()))
+    });
+    (written, failed)
 }
 
 /// Writes files into a folder: all of them or, where one cannot be made, none.
@@ -240,22 +275,11 @@ fn write_all(folder: &Path, files: Vec<page::File>) -> Result<(), Desk> {
     batch.commit()
 }
 
-/// Asks for a site's sums.
-async fn summarise(engine: &Engine, mut scope: Scope) -> Result<Summary, Failure> {
-    let mut summary = Summary::of_lanes(&scope.site, &engine.ask(&queries::lanes(&scope)).await?);
-    if !summary.is_empty() {
-        scope.window_s = summary.window_s;
-        summary.add_cells(&engine.ask(&queries::cells(&scope)).await?);
-    }
-    Ok(summary)
-}
-
 /// The days whose files are not as they should be, and what is wrong with them.
 fn damage(archive: &Path, days: &[Partition]) -> Vec<(i64, Failure)> {
     let wrong = |day: &Partition| {
-        let failure = Rows::open(&day.path(archive))
-            .and_then(|mut rows| rows.try_for_each(|row| row.map(drop)));
-        failure.err().map(|failure| (day.day, failure.into()))
+        let read = densities::each(&day.path(archive), |_| ());
+        read.err().map(|failure| (day.day, failure.into()))
     };
     days.iter().filter_map(wrong).collect()
 }

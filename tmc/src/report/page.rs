@@ -2,8 +2,7 @@
 
 use super::charts;
 use super::geojson::geojson;
-use super::queries::BINS;
-use super::summary::Summary;
+use super::summary::{BINS, Summary};
 use super::sums::Mean;
 use crate::chart::Drawing;
 use crate::html::{escaped, page};

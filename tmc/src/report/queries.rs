@@ -1,17 +1,14 @@
-//! The questions that a report asks of the archive, in SQL.
+//! The questions that a report asks of a cluster, in SQL: the sums of `pass`.
 //!
-//! Written once, and the same for one machine and for a cluster (`engine`). What comes back is
-//! sums and counts: their number grows with lanes, cells, bins and days, not with windows.
+//! What comes back is sums and counts: their number grows with lanes, cells, bins and days, not with
+//! windows. `tests/ballista.rs` holds that a cluster's report has the bytes of one process.
 
+use super::summary::{BINS, LANES};
 use crate::store::{self, DAY_MS};
 use verge_messages::{LONGEST_WINDOW_S, SHORTEST_WINDOW_S};
 
 /// The archive's name in the questions.
 pub(super) const TABLE: &str = "density";
-/// Bins of a day: 15 minutes, as the paper's figures have it.
-pub const BINS: usize = 96;
-/// Lanes are numbered 1 to 8.
-pub const LANES: usize = 8;
 const BIN_MS: i64 = DAY_MS / BINS as i64;
 /// 1970-01-01 was a Thursday; Monday is 0.
 const EPOCH_WEEKDAY: i64 = 3;
@@ -31,10 +28,8 @@ const IS_STATED: &str = "density_veh_km BETWEEN 0 AND 10000 AND density_se BETWE
 pub(super) struct Scope {
     /// Which site.
     pub site: String,
-    /// First and last day, since 1970, UTC.
-    pub days: [i64; 2],
-    /// Days in between whose file cannot be read.
-    pub without: Vec<i64>,
+    /// Days since 1970, UTC.
+    pub days: Vec<i64>,
     /// Length of the windows, s; none: all of them.
     pub window_s: Option<i32>,
     /// Local time ahead of UTC.
@@ -45,16 +40,12 @@ impl Scope {
     /// Condition on site, days, lanes and windows. The first two are folders, so that no other
     /// file is opened. The others pass over what an older archiver let in: what is not a box's.
     fn condition(&self) -> String {
-        let [first, last] = self.days.map(store::date);
+        let days: Vec<_> = self.days.iter().map(|day| format!("'{}'", store::date(*day))).collect();
+        let days = days.join(",");
         let site = self.site.replace('\'', "''");
         let window = self.window_s.map_or(String::new(), |s| format!(" AND window_s = {s}"));
-        let without: String = self
-            .without
-            .iter()
-            .map(|day| format!(" AND date <> '{}'", store::date(*day)))
-            .collect();
         format!(
-            "site = '{site}' AND date BETWEEN '{first}' AND '{last}'{without} \
+            "site = '{site}' AND date IN ({days}) \
              AND lane BETWEEN 1 AND {LANES} AND window_s BETWEEN {SHORTEST_WINDOW_S} AND \
              {LONGEST_WINDOW_S} AND CAST(\"from\" AS BIGINT) >= 0{window}"
         )

@@ -1,15 +1,15 @@
-//! The sums of one site: what a report draws, from the rows that the queries return.
+//! The sums of one site: what a report draws.
 //!
 //! Means are over windows with a known density; what is not known counts in the completeness
 //! alone.
 
-use super::queries::{BINS, LANES};
-use super::sums::{Mean, Sums, column};
+use super::sums::Mean;
 use crate::store::DAY_MS;
-use datafusion::arrow::array::{Array, RecordBatch};
-use datafusion::arrow::datatypes::{Float32Type, Int32Type, Int64Type};
-use std::collections::BTreeMap;
 
+/// Bins of a day: 15 minutes, as the paper's figures have it.
+pub const BINS: usize = 96;
+/// Lanes are numbered 1 to 8.
+pub const LANES: usize = 8;
 /// Most cells along a road: more are faults.
 const MOST_CELLS: usize = 4096;
 
@@ -80,11 +80,9 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of a site, from the rows of `queries::lanes`: of the shortest windows in them.
-    pub(super) fn of_lanes(site: &str, batches: &[RecordBatch]) -> Self {
-        let windows = |batch| column::<Int32Type>(batch, "window_s");
-        let window_s = batches.iter().flat_map(|batch| windows(batch).values()).min().copied();
-        let mut summary = Self {
+    /// Of a site, without a window as yet.
+    pub(super) fn new(site: &str, window_s: Option<i32>) -> Self {
+        Self {
             site: site.to_owned(),
             window_s,
             rows: 0,
@@ -92,38 +90,17 @@ impl Summary {
             week: vec![[Mean::default(); BINS]; 7],
             along: Default::default(),
             days: Vec::new(),
-        };
-        let mut days = BTreeMap::<i64, [Windows; LANES]>::new();
-        for batch in batches {
-            let (windows, lanes) = (windows(batch), column::<Int32Type>(batch, "lane"));
-            let integers = |name| column::<Int64Type>(batch, name);
-            let (weekdays, bins, dates) = (integers("weekday"), integers("bin"), integers("day"));
-            let (archived, sums) = (integers("archived"), Sums::of(batch));
-            for row in 0..batch.num_rows() {
-                if Some(windows.value(row)) != window_s {
-                    continue;
-                }
-                let lane = (lanes.value(row) - 1) as usize;
-                if dates.is_null(row) {
-                    let (weekday, bin) = (weekdays.value(row), bins.value(row) as usize);
-                    summary.day_by_lane[bin][lane].add(sums.get(row));
-                    summary.week[weekday as usize][bin].add(sums.get(row));
-                } else {
-                    summary.rows += archived.value(row) as u64;
-                    let known = sums.get(row).count as u32;
-                    days.entry(dates.value(row)).or_default()[lane] =
-                        Windows { archived: archived.value(row) as u32, known };
-                }
-            }
         }
-        summary.days = days.into_iter().collect();
-        summary
     }
 
-    /// Takes the rows of `queries::cells`.
-    pub(super) fn add_cells(&mut self, batches: &[RecordBatch]) {
-        let groups: Vec<CellGroup> = batches.iter().flat_map(CellGroup::all).collect();
-        self.rows += groups.iter().map(|group| group.archived).sum::<u64>();
+    /// Takes the windows of a lane (from 0) at one weekday and time.
+    pub(super) fn add_time(&mut self, weekday: usize, bin: usize, lane: usize, densities: Mean) {
+        self.day_by_lane[bin][lane].add(densities);
+        self.week[weekday][bin].add(densities);
+    }
+
+    /// Takes all groups of cells.
+    pub(super) fn add_cells(&mut self, groups: &[CellGroup]) {
         let known = || groups.iter().filter(|group| group.densities.count > 0);
         // A lane's first cell is a whole one; its last may be short.
         let mut first = [(i64::MAX, f32::INFINITY); LANES];
@@ -195,33 +172,14 @@ impl Summary {
 }
 
 /// Cells of one lane, place and time of day.
-struct CellGroup {
+pub(super) struct CellGroup {
     /// From 0.
-    lane: usize,
-    position_m: f32,
-    length_m: f32,
-    bin: usize,
-    archived: u64,
-    densities: Mean,
+    pub lane: usize,
+    /// Not a number where it is not known.
+    pub position_m: f32,
+    pub length_m: f32,
+    pub bin: usize,
+    pub densities: Mean,
     /// The first window with a density.
-    since_ms: i64,
-}
-
-impl CellGroup {
-    fn all(batch: &RecordBatch) -> impl Iterator<Item = Self> {
-        let (lanes, sums) = (column::<Int32Type>(batch, "lane"), Sums::of(batch));
-        let metres = |name| column::<Float32Type>(batch, name);
-        let (positions, lengths) = (metres("position_m"), metres("length_m"));
-        let integers = |name| column::<Int64Type>(batch, name);
-        let (bins, archived, since) = (integers("bin"), integers("archived"), integers("first"));
-        (0..batch.num_rows()).map(move |row| Self {
-            lane: (lanes.value(row) - 1) as usize,
-            position_m: if positions.is_null(row) { f32::NAN } else { positions.value(row) },
-            length_m: lengths.value(row),
-            bin: bins.value(row) as usize,
-            archived: archived.value(row) as u64,
-            densities: sums.get(row),
-            since_ms: since.value(row),
-        })
-    }
+    pub since_ms: i64,
 }

@@ -1,8 +1,6 @@
 //! Sums over archives with known content.
 
-use super::engine::Engine;
-use super::queries::{self, Scope};
-use super::{Mean, Summary};
+use super::{Mean, Summary, pass};
 use crate::store::{self, DAY_MS, Partition, Row};
 
 /// Monday 5 January 2026, 23:30 UTC, is Tuesday 07:30 in Hong Kong.
@@ -39,22 +37,7 @@ fn summary(mut rows: Vec<Row>) -> Summary {
     let day = Partition { site: "a".into(), day: FROM.div_euclid(DAY_MS) };
     rows.sort_by_key(Row::key);
     store::write(&day.path(folder.path()), &rows).unwrap();
-    let mut scope = Scope {
-        site: "a".into(),
-        days: [day.day; 2],
-        without: Vec::new(),
-        window_s: None,
-        offset_ms: 8 * 3_600_000,
-    };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
-        let engine = Engine::open(folder.path(), None, 1).await.unwrap();
-        let batches = engine.ask(&queries::lanes(&scope)).await.unwrap();
-        let mut summary = Summary::of_lanes("a", &batches);
-        scope.window_s = summary.window_s;
-        summary.add_cells(&engine.ask(&queries::cells(&scope)).await.unwrap());
-        summary
-    })
+    pass::site(folder.path(), "a", &[day], None, 8 * 3_600_000).unwrap()
 }
 
 #[test]

@@ -1,10 +1,7 @@
-//! Running means with their errors, and the sums that queries return.
+//! Running means with their errors.
 //!
 //! Densities have 24 bits and are added up in 53: below 2^29 times the least of them their sums are
 //! exact, and so the same in whatever order they were added.
-
-use datafusion::arrow::array::{Array, AsArray, PrimitiveArray, RecordBatch};
-use datafusion::arrow::datatypes::{ArrowPrimitiveType, Float64Type, Int64Type};
 
 /// Standard errors of a mean within which 90 % of it lies.
 const Z90: f64 = 1.645;
@@ -16,20 +13,33 @@ pub struct Mean {
     /// Values in it.
     pub count: u64,
     /// Of those whose parts of error are known.
-    errors: Errors,
+    pub(super) errors: Errors,
 }
 
 /// Sums over values of which sampling, calibration and counting errors are known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Errors {
-    count: u64,
+pub(super) struct Errors {
+    pub(super) count: u64,
     /// Of the sampling errors' squares.
-    variance: f64,
-    calibration: f64,
-    counting: f64,
+    pub(super) variance: f64,
+    pub(super) calibration: f64,
+    pub(super) counting: f64,
 }
 
 impl Mean {
+    /// Takes in a value, and its errors from sampling, calibration and counting. The square has 24 bits
+    /// as densities have, so that its sum is exact as well.
+    pub(super) fn add_one(&mut self, value: f32, errors: Option<[f32; 3]>) {
+        self.sum += f64::from(value);
+        self.count += 1;
+        if let Some([sampling, calibration, counting]) = errors {
+            self.errors.count += 1;
+            self.errors.variance += f64::from(sampling * sampling);
+            self.errors.calibration += f64::from(calibration);
+            self.errors.counting += f64::from(counting);
+        }
+    }
+
     pub(super) fn add(&mut self, other: Self) {
         self.sum += other.sum;
         self.count += other.count;
@@ -65,40 +75,4 @@ impl Mean {
         let joint = (variance + calibration.powi(2) + counting.powi(2)).sqrt() / n;
         (count == self.count).then_some([(mean - Z90 * joint).max(0.0), mean + Z90 * joint])
     }
-}
-
-/// Sums of densities and their counts, and of their errors where the query asks for them.
-pub(super) struct Sums<'a> {
-    density: &'a PrimitiveArray<Float64Type>,
-    known: &'a PrimitiveArray<Int64Type>,
-    errors: Option<(&'a PrimitiveArray<Int64Type>, [&'a PrimitiveArray<Float64Type>; 3])>,
-}
-
-impl<'a> Sums<'a> {
-    pub(super) fn of(batch: &'a RecordBatch) -> Self {
-        let errors = batch.column_by_name("stated").is_some().then(|| {
-            let parts = ["variance", "calibration", "counting"].map(|name| column(batch, name));
-            (column(batch, "stated"), parts)
-        });
-        Self { density: column(batch, "density"), known: column(batch, "known"), errors }
-    }
-
-    pub(super) fn get(&self, row: usize) -> Mean {
-        // A sum of nothing is null, and 0 below that.
-        let sum = |of: &PrimitiveArray<Float64Type>| {
-            if of.is_null(row) { 0.0 } else { of.value(row) }
-        };
-        let errors = self.errors.map_or_else(Errors::default, |(count, parts)| {
-            let [variance, calibration, counting] = parts.map(sum);
-            Errors { count: count.value(row) as u64, variance, calibration, counting }
-        });
-        Mean { sum: sum(self.density), count: self.known.value(row) as u64, errors }
-    }
-}
-
-pub(super) fn column<'a, T: ArrowPrimitiveType>(
-    batch: &'a RecordBatch,
-    name: &str,
-) -> &'a PrimitiveArray<T> {
-    batch.column_by_name(name).expect("the queries name it").as_primitive()
 }

@@ -7,6 +7,7 @@
 //! that begin with `_` are the archivers' own. A folder that is not the archive's is passed
 //! over, and named.
 
+pub mod densities;
 pub mod events;
 mod read;
 mod row;

@@ -5,11 +5,13 @@
 
 use super::schema::{COLUMNS, COLUMNS_WITHOUT_ERRORS, COLUMNS_WITHOUT_TRAFFIC};
 use super::{Moving, Row};
+use bytes::Bytes;
 use parquet::column::reader::{ColumnReaderImpl, get_typed_column_reader};
 use parquet::data_type::{BoolType, DataType, FloatType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
 use std::fs::File;
+use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use verge_desk::Failure;
@@ -17,10 +19,21 @@ use verge_desk::Failure;
 /// Rows that are read at once.
 const BATCH_ROWS: usize = 1 << 13;
 
-fn open(path: &Path) -> Result<SerializedFileReader<File>, Failure> {
-    let file = File::open(path).map_err(|source| Failure::reading(path, source))?;
-    let reader = guarded(|| SerializedFileReader::new(file));
-    let reader = reader.map_err(|error| damaged(path, &error))?;
+/// A file of at most so many bytes is read at once: that saves a system call a column.
+const SMALL_BYTES: u64 = 4 << 20;
+
+pub(super) fn open(path: &Path) -> Result<Box<dyn FileReader>, Failure> {
+    let failed = |source| Failure::reading(path, source);
+    let mut file = File::open(path).map_err(failed)?;
+    let length = file.metadata().map_err(failed)?.len();
+    let reader = if length <= SMALL_BYTES {
+        let mut bytes = Vec::with_capacity(length as usize);
+        file.read_to_end(&mut bytes).map_err(failed)?;
+        guarded(|| Ok(Box::new(SerializedFileReader::new(Bytes::from(bytes))?) as Box<_>))
+    } else {
+        guarded(|| Ok(Box::new(SerializedFileReader::new(file)?) as Box<_>))
+    };
+    let reader: Box<dyn FileReader> = reader.map_err(|error| damaged(path, &error))?;
     let columns = reader.metadata().file_metadata().schema_descr().num_columns();
     if [COLUMNS_WITHOUT_ERRORS, COLUMNS_WITHOUT_TRAFFIC, COLUMNS].contains(&columns) {
         return Ok(reader);
@@ -28,13 +41,15 @@ fn open(path: &Path) -> Result<SerializedFileReader<File>, Failure> {
     Err(Failure::content(path, 0, "is not a file of verge's archive; keep others out of it"))
 }
 
-fn damaged(path: &Path, error: &ParquetError) -> Failure {
+pub(super) fn damaged(path: &Path, error: &ParquetError) -> Failure {
     let reason = format!("is damaged: {error}; restore it, or move it away");
     Failure::content(path, 0, reason)
 }
 
 /// What a damaged file makes the crate do: return an error, or panic.
-fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, ParquetError> {
+pub(super) fn guarded<T>(
+    read: impl FnOnce() -> Result<T, ParquetError>,
+) -> Result<T, ParquetError> {
     let panicked = |_| Err(ParquetError::General("its reader panicked".into()));
     catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(panicked)
 }
@@ -50,7 +65,7 @@ pub fn read(path: &Path) -> Result<Vec<Row>, Failure> {
 /// The rows of a file, in its order; some are in memory at a time.
 pub struct Rows {
     path: PathBuf,
-    reader: SerializedFileReader<File>,
+    reader: Box<dyn FileReader>,
     next_group: usize,
     columns: Option<Columns>,
     batch: std::vec::IntoIter<Row>,
@@ -110,7 +125,7 @@ impl Iterator for Rows {
     }
 }
 
-type Column<T> = ColumnReaderImpl<T>;
+pub(super) type Column<T> = ColumnReaderImpl<T>;
 
 /// The columns of a row group, read side by side.
 struct Columns {
@@ -280,7 +295,7 @@ impl TrafficColumns {
 }
 
 /// Values of a column, and the levels that say which are known (empty: all are).
-fn values<T: DataType>(
+pub(super) fn values<T: DataType>(
     column: &mut Column<T>,
     most: usize,
 ) -> Result<(Vec<T::T>, Vec<i16>), ParquetError> {
@@ -297,7 +312,10 @@ fn values<T: DataType>(
 }
 
 /// So many values of a column in which all are known.
-fn all<T: DataType>(column: &mut Column<T>, count: usize) -> Result<Vec<T::T>, ParquetError> {
+pub(super) fn all<T: DataType>(
+    column: &mut Column<T>,
+    count: usize,
+) -> Result<Vec<T::T>, ParquetError> {
     let (values, _) = values::<T>(column, count)?;
     if values.len() == count { Ok(values) } else { Err(short()) }
 }
@@ -314,6 +332,6 @@ fn known<T: DataType>(
     if all.len() == count { Ok(all) } else { Err(short()) }
 }
 
-fn short() -> ParquetError {
+pub(super) fn short() -> ParquetError {
     ParquetError::General("its columns have different lengths".into())
 }

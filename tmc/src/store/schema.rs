@@ -1,6 +1,6 @@
 //! The columns of a density file, and those of the files before.
 
-use datafusion::arrow::datatypes::Schema;
+use arrow_schema::Schema;
 use parquet::arrow::parquet_to_arrow_schema;
 use parquet::schema::parser::parse_message_type;
 use parquet::schema::types::SchemaDescriptor;

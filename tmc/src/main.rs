@@ -1,7 +1,9 @@
 //! `verge-tmc`: the commands, their arguments and their exit codes.
 
+mod manual;
+
 use clap::{CommandFactory, Parser, Subcommand};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use verge_tmc::failure::Failure;
 use verge_tmc::{archive, exporter, fit, points, report, score, serve};
@@ -39,12 +41,6 @@ enum Command {
     },
 }
 
-/// A page for the program and one for each command.
-fn write_pages(folder: &Path) -> Result<(), Failure> {
-    let written = clap_mangen::generate_to(Arguments::command().name("verge-tmc"), folder);
-    Ok(written.map_err(|source| verge_desk::Failure::writing(folder, source))?)
-}
-
 fn main() -> ExitCode {
     verge_desk::run_main(|Arguments { command }| -> Result<(), Failure> {
         match command {
@@ -55,7 +51,9 @@ fn main() -> ExitCode {
             Command::Report(arguments) => report::run(&arguments),
             Command::Serve(arguments) => serve::run(&arguments),
             Command::Score(arguments) => Ok(score::run(&arguments)?),
-            Command::Man { out } => write_pages(&out),
+            Command::Man { out } => {
+                Ok(manual::write(Arguments::command().name("verge-tmc"), &out)?)
+            }
         }
     })
 }

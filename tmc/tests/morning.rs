@@ -4,6 +4,7 @@
 mod common;
 
 use common::{stderr, succeed, text};
+use serde_json::Value;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
@@ -274,6 +275,61 @@ fn serve_answers_loopback_alone_and_changes_nothing() {
     assert!(asked(port, &post).0.starts_with("HTTP/1.1 405"));
     let missing = at_eight(&["serve", "--archive", "/no/such", "--port", "0"]);
     assert_eq!(missing.status.code(), Some(66), "{}", stderr(&missing));
+}
+
+/// Grafana's dashboard of the past asks for nothing that is not answered, and reads no field that is not
+/// there; what it reads are means over the archive's rows.
+#[test]
+fn the_dashboard_of_the_past_is_answered() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let root = folder.path().join("archive");
+    archive(&root);
+    let served = Served::of(&root);
+    let get = |path: &str| {
+        let port = served.1;
+        let head = format!("Host: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n");
+        asked(port, &format!("GET {path} HTTP/1.1\r\n{head}"))
+    };
+    let json = |path: &str| -> Vec<Value> {
+        let (head, body) = get(path);
+        assert!(head.starts_with("HTTP/1.1 200") && head.contains("application/json"), "{head}");
+        serde_json::from_str(&body).expect("JSON rows")
+    };
+    let day = [TODAY - 1, TODAY].map(|day| (day * DAY_MS).to_string());
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/grafana/dashboards/past.json");
+    let dashboard: Value = serde_json::from_str(&read(Path::new(path))).expect("JSON");
+    let panels = dashboard["panels"].as_array().expect("panels");
+    let variable = &dashboard["templating"]["list"][0]["query"]["infinityQuery"];
+    let targets = panels.iter().map(|panel| &panel["targets"][0]).chain([variable]);
+    for target in targets {
+        let url = target["url"].as_str().expect("a URL").to_owned();
+        let url = url.replace("${site}", "north").replace("${__interval_ms}", "60000");
+        let rows = json(&url.replace("${__from}", &day[0]).replace("${__to}", &day[1]));
+        for column in target["columns"].as_array().expect("columns") {
+            let name = column["selector"].as_str().expect("a name");
+            assert!(rows.iter().all(|row| row.get(name).is_some()), "{url}: {name}");
+        }
+    }
+    let rows = json(&format!("/data/density?site=north&from={}&to={}", day[0], day[1]));
+    assert_eq!((rows.len(), &rows[0]["time"]), (96, &Value::from((TODAY - 1) * DAY_MS)));
+    let of = |quarter: i64, lanes: std::ops::RangeInclusive<i32>| {
+        let from = (TODAY - 1) * DAY_MS + quarter * QUARTER_MS;
+        let known = lanes.map(|lane| f64::from(row(0, from, lane).unwrap().density.unwrap()));
+        let known: Vec<f64> = known.collect();
+        known.iter().sum::<f64>() / known.len() as f64
+    };
+    let density = |row: &Value| row["density_veh_km"].as_f64().expect("it is known");
+    assert!((density(&rows[33]) - of(33, 1..=2)).abs() < 1e-5, "{}", rows[33]);
+    let by =
+        |more: &str| json(&format!("/data/density?site=north&from={}&to={}{more}", day[0], day[1]));
+    assert!((density(&by("&lane=2")[33]) - of(33, 2..=2)).abs() < 1e-5);
+    let hours = by("&step_ms=3600000");
+    let hour: f64 = (32..36).map(|quarter| of(quarter, 1..=2)).sum::<f64>() / 4.0;
+    assert!(hours.len() == 24 && (density(&hours[8]) - hour).abs() < 1e-5, "{}", hours[8]);
+    assert!(json(&format!("/data/density?site=north&from=0&to={DAY_MS}")).is_empty());
+    assert!(get("/data/density?site=nowhere&from=0&to=1").0.starts_with("HTTP/1.1 404"));
+    assert!(get("/data/density?site=north").1.contains("from is missing"));
+    assert!(get("/data/passwords").0.starts_with("HTTP/1.1 404"));
 }
 
 /// Whether Python has a package.

@@ -2,7 +2,10 @@
 //!
 //! Owns the socket and who is answered: programs on this machine, under a name of loopback, so that
 //! no page of elsewhere reaches it by a name of its own. It reads and changes nothing, and asks for
-//! no token. A page is made when it is asked for, and kept for [`FRESH`].
+//! no token. A page is made when it is asked for, and kept for [`FRESH`]. `data` has the numbers for
+//! other programs.
+
+mod data;
 
 use crate::failure::Failure;
 use crate::html;
@@ -154,11 +157,19 @@ impl Centre {
         if !matches!(request.method(), Method::Get | Method::Head) {
             return Reply::text(405, "this page is to be read");
         }
-        let path = request.url().split(['?', '#']).next().unwrap_or_default();
+        let url = request.url().split('#').next().unwrap_or_default();
+        let (path, query) = url.split_once('?').unwrap_or((url, ""));
         let morning = match self.morning() {
             Ok(morning) => morning,
             Err(failure) => return Reply::text(500, &failure.to_string()),
         };
+        if let Some(name) = path.strip_prefix("/data/") {
+            return match data::answer(name, query, &morning, &self.archive) {
+                Some(Ok(rows)) => Reply::json(&rows),
+                Some(Err(data::Refusal(status, words))) => Reply::text(status, &words),
+                None => Reply::text(404, "there are /data/sites and /data/density"),
+            };
+        }
         match path {
             "/" | "/index.html" => {
                 let body = morning.body(self.tiles.as_ref());
@@ -193,6 +204,10 @@ struct Reply {
 impl Reply {
     fn html(body: Vec<u8>) -> Self {
         Self { status: 200, media: "text/html; charset=utf-8", body }
+    }
+
+    fn json(rows: &serde_json::Value) -> Self {
+        Self { status: 200, media: "application/json", body: rows.to_string().into_bytes() }
     }
 
     fn text(status: u16, text: &str) -> Self {

@@ -14,6 +14,10 @@ const MOST_SHIFT_PX: f32 = 100_000.0;
 const MOST_C: f32 = 300.0;
 /// Longest interval between pictures, s.
 const LONGEST_INTERVAL_S: f32 = 86_400.0;
+/// Most days since a certificate has ended.
+const LEAST_DAYS: f32 = -100_000.0;
+/// Most days until it does: those without an end have the last day of 9999 (RFC 5280, 4.1.2.5).
+const MOST_DAYS: f32 = 3_000_000.0;
 /// Largest difference of two densities, veh/km.
 const MOST_VEH_KM: f32 = 10_000.0;
 
@@ -37,6 +41,7 @@ pub struct Health {
     /// The alarm that is on.
     pub alarm: Option<Alarm>,
     /// Time since start, s.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub uptime_s: u64,
     /// Whether the clock is set from a time source.
     pub clock_synced: bool,
@@ -56,15 +61,16 @@ pub struct Health {
     /// The box around the camera.
     pub board: Board,
     /// Faults of the program that the line survived since start.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub stage_faults: u64,
     /// Whole days until the first certificate that is in use ends, negative when it has; null
     /// where none is known.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(range(min = -100_000, max = 1_000_000)))]
+    #[cfg_attr(feature = "schema", schemars(range(min = LEAST_DAYS, max = MOST_DAYS)))]
     pub certificate_days: Option<i64>,
     /// Windows that did not leave for the I/O node since start; null where none is connected.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.2")))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT), extend("x-since" = "0.2")))]
     pub node_windows_lost: Option<u64>,
     /// The latest fault, for people; null while all is well.
     pub last_fault: Option<String>,
@@ -78,7 +84,7 @@ impl Health {
     pub fn check(&self) -> Result<(), Wrong> {
         let Self { schema: _, site, time: at, version, status: _, alarm: _, uptime_s, .. } = self;
         let Self { clock_synced: _, camera, frames, stream, messages, traffic, board, .. } = self;
-        let Self { stage_faults, certificate_days: _, node_windows_lost, last_fault, .. } = self;
+        let Self { stage_faults, certificate_days, node_windows_lost, last_fault, .. } = self;
         name("site", site)?;
         time("time", *at)?;
         name("version", version)?;
@@ -86,6 +92,10 @@ impl Health {
             count(field, given, 0, MOST_COUNT)?;
         }
         counts([("node_windows_lost", node_windows_lost.unwrap_or(0))])?;
+        if let Some(days) = *certificate_days {
+            // In so many days a float has no more than a day's error.
+            number("certificate_days", days as f32, LEAST_DAYS, MOST_DAYS)?;
+        }
         words("last_fault", last_fault.as_deref(), LONGEST_FAULT)?;
         frames.check().map_err(|wrong| wrong.inside("frames"))?;
         stream.check().map_err(|wrong| wrong.inside("stream"))?;
@@ -177,16 +187,20 @@ impl Camera {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "frames"))]
 pub struct Frames {
     /// Measured.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub measured: u64,
     /// The same picture as before.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub unchanged: u64,
     /// Came, but could not be read or measured.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub damaged: u64,
     /// Did not come.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub missing: u64,
     /// Came, but were not fit to be measured: blank, blinded, blurred, displaced.
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.1")))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT), extend("x-since" = "0.1")))]
     pub withheld: u64,
 }
 
@@ -201,11 +215,12 @@ pub struct Camera {
     pub preset: String,
     /// Shift of the latest picture against the calibration, px to the right and down; null
     /// where it was not measured.
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = -MOST_SHIFT_PX, max = MOST_SHIFT_PX))))]
     pub shift_px: Option<[f32; 2]>,
     /// By the mean level of the latest picture; null before the first.
     pub light: Option<Light>,
     /// Time since the empty road was last learned in this light, s; null where it never was.
-    #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.2")))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT), extend("x-since" = "0.2")))]
     pub road_age_s: Option<u64>,
 }
 
@@ -240,10 +255,12 @@ pub enum Light {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "traffic"))]
 pub struct Following {
     /// The longest time between two pictures with which they can be, s
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = LONGEST_INTERVAL_S)))]
     pub longest_interval_s: f32,
     /// The largest difference of a lane between its density by the mean of pictures and by Edie's
     /// definition, in the latest of the shortest windows, veh/km, with its sign; null where no
     /// lane has one. They are the same where both are right.
+    #[cfg_attr(feature = "schema", schemars(range(min = -MOST_VEH_KM, max = MOST_VEH_KM)))]
     pub density_difference_veh_km: Option<f32>,
 }
 
@@ -252,10 +269,13 @@ pub struct Following {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "stream"))]
 pub struct Stream {
     /// Marked as damaged on the way, and passed over.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub flagged: u64,
     /// Missing between two sequence numbers.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub lost: u64,
     /// Times that the stream was given up and opened again.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub reopened: u64,
 }
 
@@ -264,16 +284,22 @@ pub struct Stream {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "messages"))]
 pub struct Messages {
     /// Taken over by the broker.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub delivered: u64,
     /// Refused by the broker, with a reason (MQTT 5).
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub refused: u64,
     /// Windows that the broker has not taken.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub waiting: u64,
     /// Of these, windows that are not on the disk because it refuses them.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub in_memory: u64,
     /// Windows lost because too many waited: the oldest.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub dropped: u64,
     /// Records of the spool that could not be read.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub damaged: u64,
 }
 
@@ -282,6 +308,7 @@ pub struct Messages {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "board"))]
 pub struct Board {
     /// Temperature in the enclosure, degrees Celsius; null without a sensor.
+    #[cfg_attr(feature = "schema", schemars(range(min = -MOST_C, max = MOST_C)))]
     pub enclosure_c: Option<f32>,
     /// How fast the line may run.
     pub pace: Pace,
@@ -320,11 +347,15 @@ impl Pace {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "board_faults"))]
 pub struct BoardFaults {
     /// The status lamp.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub status_led: u64,
     /// The camera's relay.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub camera_power: u64,
     /// The hardware watchdog.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub watchdog: u64,
     /// The thermometer.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_COUNT)))]
     pub thermometer: u64,
 }

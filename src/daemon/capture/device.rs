@@ -75,6 +75,17 @@ pub enum DeviceError {
         /// What it said then.
         given: String,
     },
+    /// Frames larger than any picture that is read.
+    #[error(
+        "{}: its driver says that a frame takes {} MB, more than the largest picture that is read",
+        path.display(), bytes >> 20
+    )]
+    LargeFrames {
+        /// The device.
+        path: PathBuf,
+        /// What a frame takes, as the driver says.
+        bytes: u32,
+    },
     /// No frame in time.
     #[error("{}: no frame for {:.1} s", path.display(), timeout.as_secs_f32())]
     Timeout {

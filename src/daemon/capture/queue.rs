@@ -6,27 +6,39 @@
 
 use std::time::Duration;
 
-/// Buffers of the stream: one is being read, one is being filled, two wait.
-pub const BUFFERS: u32 = 4;
+/// Most buffers of a stream: one is being read, one is being filled, two wait.
+const MOST_BUFFERS: u32 = 4;
+/// Fewest: one is being read, one is being filled.
+const FEWEST_BUFFERS: u32 = 2;
+/// Memory that the buffers may take beyond the fewest, bytes: four of 1920x1080 YUYV, two of 3840x2160.
+const MOST_BUFFERED: u32 = 36 << 20;
 /// Oldest picture that is taken for a new one.
 pub const FRESH: Duration = Duration::from_secs(2);
 /// Frames that are passed over for one picture; a camera that is faster than the box is
 /// read as fast as it goes.
-const MOST_PASSED: u32 = 2 * BUFFERS;
+const MOST_PASSED: u32 = 2 * MOST_BUFFERS;
 /// Larger leaps of the sequence number are a counter that began again.
 const LARGEST_GAP: u32 = 1000;
+
+/// How many buffers a stream gets whose frames take this many bytes; `None` where not even the
+/// fewest have room.
+pub fn buffers(frame_bytes: u32) -> Option<u32> {
+    let room = MOST_BUFFERED / frame_bytes.max(1);
+    (room >= FEWEST_BUFFERS).then(|| room.min(MOST_BUFFERS))
+}
 
 /// The frames of one question, from the oldest that waits.
 #[derive(Clone, Copy, Debug)]
 pub struct Question {
     since_last: Duration,
+    buffers: u32,
     passed: u32,
 }
 
 impl Question {
-    /// A question this long after the one before.
-    pub fn new(since_last: Duration) -> Self {
-        Self { since_last, passed: 0 }
+    /// A question this long after the one before, to a stream of so many buffers.
+    pub fn new(since_last: Duration, buffers: u32) -> Self {
+        Self { since_last, buffers, passed: 0 }
     }
 
     /// Whether a frame is passed over: it `waited` (it was there before it was asked for),
@@ -38,7 +50,7 @@ impl Question {
 
     /// Whether the driver may have been short of a buffer since the last question.
     pub fn starved(&self) -> bool {
-        self.passed + 1 >= BUFFERS
+        self.passed + 1 >= self.buffers
     }
 }
 
@@ -68,10 +80,19 @@ mod tests {
 
     /// How many frames are passed over when this many wait.
     fn passed(waiting: u32, since_last: Duration) -> u32 {
-        let mut question = Question::new(since_last);
+        let mut question = Question::new(since_last, MOST_BUFFERS);
         (0..100)
             .find(|&n| !question.passes(n < waiting, n + 1 < waiting))
             .expect("a frame is taken in the end")
+    }
+
+    #[test]
+    fn large_frames_get_fewer_buffers_and_too_large_ones_none() {
+        let yuyv = |width: u32, height: u32| 2 * width * height;
+        assert_eq!(buffers(yuyv(1920, 1080)), Some(4));
+        assert_eq!(buffers(yuyv(3840, 2160)), Some(2));
+        assert_eq!(buffers(0), Some(4), "a driver that does not say");
+        assert_eq!(buffers(u32::MAX), None);
     }
 
     #[test]

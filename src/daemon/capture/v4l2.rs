@@ -15,7 +15,7 @@ use super::backoff::{Backoff, LONGEST_AT_THE_BOX};
 use super::device::{DeviceError, DeviceSettings};
 use super::negotiate::{self, Choice, Encoding, FrameTime, Offer, stepped};
 use super::picture::pixels::{self, Colour, Layout};
-use super::queue::{BUFFERS, Question, Sequence};
+use super::queue::{self, Question, Sequence};
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE, StreamCounts, decode};
 use crate::daemon::clock;
 use crate::daemon::frame::{Frame, Picture};
@@ -118,7 +118,8 @@ impl V4l2 {
             closed => closed.insert(guarded(settings, "opening", || Open::new(settings))?),
         };
         guarded(settings, "taking a frame", || {
-            open.newest(settings, begun, Question::new(since_last), counts, |open, bytes| {
+            let question = Question::new(since_last, open.buffers);
+            open.newest(settings, begun, question, counts, |open, bytes| {
                 let mut hasher = DefaultHasher::new();
                 hasher.write(bytes);
                 let digest = hasher.finish();
@@ -160,6 +161,7 @@ impl Given {
 struct Open {
     stream: Stopping,
     given: Given,
+    buffers: u32,
     sequence: Sequence,
 }
 
@@ -184,11 +186,14 @@ impl Open {
             let offered = describe(&offers);
             DeviceError::NothingFits { path: path(), wanted: settings.size, offered }
         })?;
-        let given = set(&device, settings, choice)?;
-        let stream = Stream::with_buffers(&device, Type::VideoCapture, BUFFERS)
+        let (given, frame_bytes) = set(&device, settings, choice)?;
+        let buffers = queue::buffers(frame_bytes)
+            .ok_or_else(|| DeviceError::LargeFrames { path: path(), bytes: frame_bytes })?;
+        let stream = Stream::with_buffers(&device, Type::VideoCapture, buffers)
             .map_err(|e| failed(settings, "REQBUFS", &e))?;
         log::info!("{}: {} as {given:?}", settings.path.display(), about.card);
-        Ok(Self { stream: Stopping(Some(stream)), given, sequence: Sequence::default() })
+        let (stream, sequence) = (Stopping(Some(stream)), Sequence::default());
+        Ok(Self { stream, given, buffers, sequence })
     }
 
     /// Takes the newest frame that is not marked as damaged, for a question of `begun`.
@@ -320,8 +325,13 @@ fn describe(offers: &[Offer]) -> String {
     if text.is_empty() { "none of these formats".to_owned() } else { text.join(", ") }
 }
 
-/// Asks for a format and rate, and holds the camera to the format.
-fn set(device: &Device, settings: &DeviceSettings, choice: Choice) -> Result<Given, CaptureError> {
+/// Asks for a format and rate, and holds the camera to the format. With it, the bytes that a
+/// frame takes.
+fn set(
+    device: &Device,
+    settings: &DeviceSettings,
+    choice: Choice,
+) -> Result<(Given, u32), CaptureError> {
     let (width, height) = choice.size;
     let fourcc = FourCC::new(&choice.encoding.fourcc());
     // A format that was read back and changed would keep the old one's stride.
@@ -350,7 +360,7 @@ fn set(device: &Device, settings: &DeviceSettings, choice: Choice) -> Result<Giv
     };
     let (width, height) = (width as usize, height as usize);
     let layout = Layout { width, height, stride: given.stride as usize };
-    Ok(Given { encoding: choice.encoding, layout, colour })
+    Ok((Given { encoding: choice.encoding, layout, colour }, given.size))
 }
 
 #[cfg(test)]

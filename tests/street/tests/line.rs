@@ -1,14 +1,9 @@
 //! The line behind the detector against exact truth: boxes of the simulated street in place
 //! of detections, 15-minute density per lane against the street's own.
 
-mod common;
-
-use mvcalib::files::calibration::{Calibration, Sha256};
-use mvcalib::files::labelme::LabelFile;
-use mvcalib::road::lane_table::{lanes, table};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
-use street::recording::{Recorder, calibration};
+use street::recording::Recorder;
 use street::scene::Scene;
 use street::truth::FrameTruth;
 use street::vehicle::Class;
@@ -19,6 +14,7 @@ use verge::density::{Errors, WindowReport};
 use verge::picture::Light;
 use verge::sensor::{Outcome, Preset, Windows};
 use verge::units::{ImagePoint, UtcMs, VehicleClass};
+use verge_street_tests::{Extras, scene, write_table};
 
 const QUARTER: Duration = Duration::from_secs(900);
 /// 08:00 on the scene's day, the beginning of a window.
@@ -26,26 +22,6 @@ const START: UtcMs = UtcMs(1_767_600_000_000);
 
 /// About how long cells are, m.
 const CELL_M: f32 = 10.0;
-
-/// The lane table that `mvcalib table` makes for a scene.
-fn write_table(scene: &Scene, recorder: &Recorder, folder: &Path) -> PathBuf {
-    let write = |name: &str, value: &serde_json::Value| {
-        let path = folder.join(name);
-        std::fs::write(&path, value.to_string()).expect("writing a file");
-        path
-    };
-    let drawn = street::measured::labelme(scene, recorder.street().measured(), "a.jpg");
-    let (lanes_file, camera_file) =
-        (write("lanes.json", &drawn), write("calibration.json", &calibration(scene)));
-    let camera = Calibration::read(&camera_file, None).expect("a right calibration");
-    let drawn = LabelFile::read(&lanes_file).expect("right lanes");
-    let drawn = lanes(&drawn, "lanes.json", &camera.camera()).expect("lanes on the road");
-    let bytes =
-        table(&camera, &drawn, Sha256([0; 32]), "street", None, CELL_M).expect("a right table");
-    let path = folder.join("street.lut");
-    std::fs::write(&path, bytes).expect("writing the table");
-    path
-}
 
 fn detections(truth: &FrameTruth) -> Vec<Detection> {
     let detection = |vehicle: &street::truth::VehicleTruth| {
@@ -103,9 +79,9 @@ impl Counting {
 /// Density per lane, veh/km: the street's own, ours by ground contact points, and ours by
 /// box centres.
 fn quarter_of_an_hour(scene: &Scene, seed: u64) -> Vec<[f64; 3]> {
-    let folder = common::folder();
+    let folder = tempfile::tempdir().expect("a temporary folder");
     let mut recorder = Recorder::new(scene, seed).expect("a street");
-    let table = write_table(scene, &recorder, folder.path());
+    let table = write_table(scene, folder.path(), "street.lut", Extras::default());
     let interval = Duration::from_secs_f64(scene.interval_s);
     let mut lines =
         [Anchor::GroundContact, Anchor::BoxCentre].map(|by| Counting::open(&table, by, scene));
@@ -127,16 +103,9 @@ fn quarter_of_an_hour(scene: &Scene, seed: u64) -> Vec<[f64; 3]> {
     truth.into_iter().enumerate().map(row).collect()
 }
 
-/// A scene as it ships.
-fn shipped(name: &str) -> Scene {
-    let path = format!("street/scenes/{name}.toml");
-    let text = std::fs::read_to_string(&path).expect("it ships");
-    Scene::parse(&text, &path, &[]).expect("a right scene")
-}
-
 /// The curve with its first three lanes, those towards the camera, under the same traffic.
 fn curve(traffic: &str) -> Scene {
-    let mut scene = shipped("curve");
+    let mut scene = scene("curve", &[]);
     let stop_and_go = scene.lanes[1].slowdown;
     let queue = scene.lanes[2].signal;
     for lane in &mut scene.lanes[..3] {
@@ -166,9 +135,9 @@ const HALF_A_CAR_M: f64 = 2.3;
 
 /// Mean vehicles in each cell of the lanes from their upstream ends, by the line and in truth.
 fn cells_of_a_quarter(scene: &Scene, seed: u64) -> Vec<[Vec<f64>; 2]> {
-    let folder = common::folder();
+    let folder = tempfile::tempdir().expect("a temporary folder");
     let mut recorder = Recorder::new(scene, seed).expect("a street");
-    let table = write_table(scene, &recorder, folder.path());
+    let table = write_table(scene, folder.path(), "street.lut", Extras::default());
     let interval = Duration::from_secs_f64(scene.interval_s);
     let mut line = Counting::open(&table, Anchor::GroundContact, scene);
     let frames = (QUARTER.as_secs_f64() / scene.interval_s) as u32;
@@ -228,9 +197,9 @@ fn density_by_position_is_the_streets_own_from_the_upstream_end() {
 
 /// Flow, speed and occupancy by the line from true boxes, against the street's own, for two minutes.
 fn two_minutes(name: &str, scene: &Scene, seed: u64) {
-    let folder = common::folder();
+    let folder = tempfile::tempdir().expect("a temporary folder");
     let mut recorder = Recorder::new(scene, seed).expect("a street");
-    let table = write_table(scene, &recorder, folder.path());
+    let table = write_table(scene, folder.path(), "street.lut", Extras::default());
     let mut line = Counting::open(&table, Anchor::GroundContact, scene);
     let interval = Duration::from_secs_f64(scene.interval_s);
     let frames = (120.0 / scene.interval_s) as u32;
@@ -280,7 +249,7 @@ fn flow_and_speed_are_the_streets_own() {
         let scene = Scene { interval_s, ..curve(traffic) };
         two_minutes(traffic, &scene, 4);
     }
-    two_minutes("freeway", &Scene { interval_s: 0.2, ..shipped("freeway") }, 5);
+    two_minutes("freeway", &Scene { interval_s: 0.2, ..scene("freeway", &[]) }, 5);
 }
 
 const HEADING: &str = "| traffic | seed | lane | truth veh/km | ground contact | box centre |\n\
@@ -307,7 +276,7 @@ fn the_contact_point_beats_the_box_centre_on_every_scene() {
     for name in ["curve", "freeway"] {
         let mut sums = [0.0; 2];
         for seed in 1..=3 {
-            for (lane, row) in quarter_of_an_hour(&shipped(name), seed).into_iter().enumerate() {
+            for (lane, row) in quarter_of_an_hour(&scene(name, &[]), seed).into_iter().enumerate() {
                 for (sum, error) in sums.iter_mut().zip(errors(name, seed, lane + 1, row)) {
                     *sum += error.abs() / 12.0;
                 }

@@ -8,6 +8,9 @@ use common::{
 use serde_json::Value;
 use std::path::Path;
 
+/// What the street's recording makes, byte for byte: a change of it is a change for every user.
+const WINDOWS: &str = "tests/data/curve/windows.jsonl";
+
 fn text(path: &Path) -> &str {
     path.to_str().expect("a path in UTF-8")
 }
@@ -34,6 +37,11 @@ fn the_same_replay_gives_the_same_bytes() {
     };
     let (windows, boxes) = once("a.jsonl");
     assert_eq!((windows.clone(), boxes.clone()), once("b.jsonl"));
+    if std::env::var_os("VERGE_WRITE").is_some_and(|value| value == "1") {
+        std::fs::write(WINDOWS, &windows).expect("the golden file can be written");
+    }
+    let golden = std::fs::read(WINDOWS).expect("it ships");
+    assert!(windows == golden, "windows are not those of {WINDOWS}: VERGE_WRITE=1, then git diff");
     let windows: Vec<Value> = lines(&windows);
     let used: u64 = windows.iter().map(|w| w["lanes"][0]["frames_used"].as_u64().unwrap()).sum();
     assert_eq!((windows.len(), used), (3, 90), "three minutes, a frame each two seconds");

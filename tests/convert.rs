@@ -2,40 +2,19 @@
 //! content models of the published v3.5 schema.
 
 mod common;
+#[path = "common/windows.rs"]
+mod windows;
 
 use common::{folder, stderr, verge};
 use std::fs;
-use verge::daemon::publish::{Identity, payload};
-use verge::density::{Aggregator, SampleZoneStatus, Start};
-use verge::lane::LaneTable;
-use verge::sensor::ClosedWindow;
-use verge::units::{LaneId, UtcMs, VehicleClass};
-use verge::wire::{self, CalibrationRef, DensityMessage, ModelRef};
-
-const MINUTE: std::time::Duration = std::time::Duration::from_secs(60);
+use verge::daemon::publish::payload;
+use verge::density::SampleZoneStatus;
+use verge::wire::{self, DensityMessage};
 
 /// A minute with vehicles, and one without a picture.
 fn messages() -> Vec<DensityMessage> {
-    let bytes = fs::read(common::K109F_TABLE).expect("it ships");
-    let table = LaneTable::parse(bytes).expect("a right table");
-    let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
-    let mut line: Aggregator =
-        Aggregator::new(lanes, cell_m, &[MINUTE], MINUTE / 3, 0.5, Start::AtNextWindow)
-            .expect("right");
-    let mut counts = line.counts();
-    counts.add(LaneId::new(2).expect("in range"), 12.0, VehicleClass::Bus);
-    let mut closed = Vec::new();
-    for second in [0, 20, 40, 60] {
-        closed.extend(line.observe(UtcMs(1_767_600_000_000 + second * 1000), &counts));
-    }
-    closed.extend(line.miss(UtcMs(1_767_600_120_000), SampleZoneStatus::SensorFailure));
-    assert_eq!(closed.len(), 2);
-    let name = verge::lane::Name::try_from("test").expect("short");
-    let model = ModelRef { name, sha256: [7; 32] };
-    let identity = Identity::new("k109f", &model);
-    let calibration = &CalibrationRef::of(table.description());
-    let message = |report, seq| identity.message(ClosedWindow { report, calibration }, true, seq);
-    (1..).zip(&closed).map(|(seq, report)| message(report, seq)).collect()
+    let table = fs::read(common::K109F_TABLE).expect("it ships");
+    windows::messages(table, "k109f", SampleZoneStatus::SensorFailure)
 }
 
 fn json_lines() -> String {

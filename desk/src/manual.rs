@@ -9,6 +9,7 @@ mod roff;
 pub use roff::{escaped, list};
 
 use crate::failure::Failure;
+use crate::generated::hold;
 use crate::sysexits;
 use crate::whole::{make_parent, write_whole};
 use clap::Command;
@@ -71,6 +72,16 @@ impl Manual {
             markdown::section(&mut text, command, page);
         }
         text
+    }
+
+    /// Holds `docs/reference/PAGE` to the pages, of which none may be at fault. For tests alone.
+    ///
+    /// # Panics
+    /// Where something is wrong with the pages, or the handbook says otherwise: [`hold`].
+    pub fn hold(&self, page: &str) {
+        let faults = self.faults();
+        assert!(faults.is_empty(), "{faults:#?}");
+        hold(page, &self.markdown());
     }
 
     /// What is wrong with the pages: a command without one, a page without a command, and

@@ -36,6 +36,6 @@ fn main() -> ExitCode {
         Command::Mix(arguments) => mix::run(&arguments),
         Command::Eval(arguments) => Ok(eval::run(&arguments)?),
         Command::Check(arguments) => Ok(check::run(&arguments)?),
-        Command::Man { folder } => Ok(manual::write(Arguments::command(), &folder)?),
+        Command::Man { folder } => Ok(manual::manual(Arguments::command()).write(&folder, &[])?),
     })
 }

@@ -1,8 +1,6 @@
 //! What the manual says of `verge-detector` beyond its command line: exit codes and examples.
 
 use clap::Command;
-use std::path::Path;
-use verge_desk::Failure;
 use verge_desk::manual::{Manual, Page};
 use verge_desk::sysexits::{CANTCREAT, DATAERR, NOINPUT};
 
@@ -56,20 +54,17 @@ const PAGES: &[Page] = &[
     },
 ];
 
-/// Writes all pages into a folder.
-pub fn write(program: Command, folder: &Path) -> Result<(), Failure> {
-    Manual::new(program, PAGES).write(folder, &[])
+/// The manual of the program.
+pub fn manual(program: Command) -> Manual {
+    Manual::new(program, PAGES)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use clap::CommandFactory;
 
     #[test]
     fn every_command_has_a_page_and_the_reference_is_theirs() {
-        let manual = Manual::new(crate::Arguments::command(), PAGES);
-        assert!(manual.faults().is_empty(), "{:#?}", manual.faults());
-        verge_desk::hold("verge-detector.md", &manual.markdown());
+        super::manual(crate::Arguments::command()).hold("verge-detector.md");
     }
 }

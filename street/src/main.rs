@@ -84,7 +84,7 @@ fn main() -> ExitCode {
         Command::Bench { scene, frames, seed, set } => {
             Scene::read(&scene, &set).and_then(|scene| bench(&scene, frames, seed))
         }
-        Command::Man { folder } => Ok(manual::write(Cli::command(), &folder)?),
+        Command::Man { folder } => Ok(manual::manual(Cli::command()).write(&folder, &[])?),
     })
 }
 

@@ -24,6 +24,8 @@ mod pictures;
 mod rtsp;
 mod runner;
 mod streams;
+#[path = "../common/windows.rs"]
+mod windows;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use fastrand::Rng;

@@ -2,13 +2,10 @@
 
 use super::files::small_table;
 use super::runner::Target;
-use super::{CRC, mend_trailer, name, outcome};
-use verge::daemon::publish::{Identity, payload};
-use verge::density::{Aggregator, SampleZoneStatus, Start};
-use verge::lane::LaneTable;
-use verge::sensor::ClosedWindow;
-use verge::units::{LaneId, UtcMs, VehicleClass};
-use verge::wire::{self, CalibrationRef, DensityMessage, ModelRef};
+use super::{CRC, mend_trailer, outcome, windows};
+use verge::daemon::publish::payload;
+use verge::density::SampleZoneStatus;
+use verge::wire::{self, DensityMessage};
 use verge_messages::formats::{Exporter, Format, Publisher};
 use verge_messages::{Density, Status, read};
 
@@ -29,24 +26,7 @@ fn message_kind(message: &Density) -> String {
 
 /// Messages with and without density.
 pub fn messages_to_begin_with() -> Vec<DensityMessage> {
-    let table = LaneTable::parse(small_table(10.0, None)).expect("a right table");
-    let minute = std::time::Duration::from_secs(60);
-    let (lanes, cell_m) = (&table.description().lanes, table.description().cell_length_m);
-    let mut line: Aggregator =
-        Aggregator::new(lanes, cell_m, &[minute], minute / 3, 0.5, Start::AtNextWindow)
-            .expect("right");
-    let mut counts = line.counts();
-    counts.add(LaneId::new(2).expect("in range"), 12.0, VehicleClass::Bus);
-    let mut closed = Vec::new();
-    for second in [0, 20, 40, 60] {
-        closed.extend(line.observe(UtcMs(1_767_600_000_000 + second * 1000), &counts));
-    }
-    closed.extend(line.miss(UtcMs(1_767_600_120_000), SampleZoneStatus::PoorContrast));
-    let model = ModelRef { name: name("model"), sha256: [7; 32] };
-    let identity = Identity::new("site", &model);
-    let calibration = &CalibrationRef::of(table.description());
-    let message = |report, seq| identity.message(ClosedWindow { report, calibration }, true, seq);
-    (1..).zip(&closed).map(|(seq, report)| message(report, seq)).collect()
+    windows::messages(small_table(10.0, None), "site", SampleZoneStatus::PoorContrast)
 }
 
 /// Writes a message that was read in every format: none of it may panic.

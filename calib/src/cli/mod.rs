@@ -57,7 +57,7 @@ pub fn run(command: Command) -> Result<()> {
         Command::Report(arguments) => report::run(&arguments),
         Command::Table(arguments) => table::run(&arguments),
         Command::Desk(arguments) => desk::run(&arguments),
-        Command::Man { folder } => Ok(manual::write(Cli::command(), &folder)?),
+        Command::Man { folder } => Ok(manual::manual(Cli::command()).write(&folder, &[])?),
     }
 }
 

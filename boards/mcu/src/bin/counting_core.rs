@@ -13,15 +13,19 @@ mod panic;
 #[cfg(target_os = "none")]
 #[path = "../ring.rs"]
 mod ring;
+#[cfg(target_os = "none")]
+#[path = "../table.rs"]
+mod table;
 
 #[cfg(target_os = "none")]
 mod firmware {
     use crate::ring::{Reader, Writer};
+    use crate::table;
     use core::time::Duration;
     use cortex_m_rt::entry;
     use verge::density::Start;
     use verge::hal::{Board, Switch, Watchdog};
-    use verge::lane::{LaneTable, Name};
+    use verge::lane::Name;
     use verge::sensor::{Action, Now, Outcome, Preset, Sensor};
     use verge::units::{ImagePoint, UtcMs, VehicleClass};
     use verge::wire::{self, DensityMessage, MAX_DENSITY_MESSAGE, ModelRef};
@@ -31,8 +35,6 @@ mod firmware {
     const INBOX_AT: usize = 0x2100_0000;
     const OUTBOX_AT: usize = 0x2110_0000;
     const TABLE_AT: usize = 0x2120_0000;
-    /// Longest table: 320x240 with a reference of the scene.
-    const MAX_TABLE: usize = 512 << 10;
     /// Most vehicles of one frame: eight lanes of 50 m at jam density and a half more.
     const MAX_BOXES: usize = 96;
     /// Frames of two minutes.
@@ -71,13 +73,8 @@ mod firmware {
     }
 
     fn measure(board: &mut Board) -> Option<core::convert::Infallible> {
-        // SAFETY: the flash is mapped before reset leaves the boot loader and never written; any
-        // bytes are a table or refused.
-        let bytes = unsafe {
-            let len = (TABLE_AT as *const u32).read_volatile() as usize;
-            core::slice::from_raw_parts((TABLE_AT + 4) as *const u8, len.min(MAX_TABLE))
-        };
-        let table = LaneTable::parse(bytes).ok()?;
+        // SAFETY: the flash is mapped before reset leaves the boot loader, and never written.
+        let table = unsafe { table::read(TABLE_AT) }?;
         let description = table.description();
         let preset =
             Preset::<1>::new(description, &[WINDOW], INTERVAL, 0.75, Start::AtNextWindow).ok()?;

@@ -16,15 +16,18 @@ mod panic;
 #[cfg(target_os = "none")]
 #[path = "../ring.rs"]
 mod ring;
+#[cfg(target_os = "none")]
+#[path = "../table.rs"]
+mod table;
 
 #[cfg(target_os = "none")]
 mod firmware {
     use crate::ring::{Reader, Writer};
+    use crate::table;
     use core::ptr::addr_of_mut;
     use core::time::Duration;
     use cortex_m_rt::entry;
     use verge::alarm::Alarm;
-    use verge::lane::LaneTable;
     use verge::picture::{Before, Look};
     use verge::scene::{Aim, Cell, EmptyRoad, Eye, Grid, Guard, Judgement, MeanCell, Reference};
 
@@ -33,8 +36,6 @@ mod firmware {
     const INBOX_AT: usize = 0x2100_0000;
     const OUTBOX_AT: usize = 0x2190_0000;
     const TABLE_AT: usize = 0x21A0_0000;
-    /// Longest table: 320x240 with a reference of the scene.
-    const MAX_TABLE: usize = 512 << 10;
     /// Columns and rows of a picture, px.
     const WIDTH: usize = 320;
     const HEIGHT: usize = 240;
@@ -79,13 +80,9 @@ mod firmware {
     }
 
     fn watch() -> Option<core::convert::Infallible> {
-        // SAFETY: the flash is mapped before reset leaves the boot loader and never written; any
-        // bytes are a table or refused.
-        let bytes = unsafe {
-            let len = (TABLE_AT as *const u32).read_volatile() as usize;
-            core::slice::from_raw_parts((TABLE_AT + 4) as *const u8, len.min(MAX_TABLE))
-        };
-        let references: [Reference; 1] = [LaneTable::parse(bytes).ok()?.scene().ok()??];
+        // SAFETY: the flash is mapped before reset leaves the boot loader, and never written.
+        let table = unsafe { table::read(TABLE_AT) }?;
+        let references: [Reference; 1] = [table.scene().ok()??];
         let grid = Grid::of(WIDTH, HEIGHT);
         // SAFETY: this function runs once, and nothing else names these.
         let (luma, fields, before, road) = unsafe {

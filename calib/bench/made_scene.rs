@@ -271,7 +271,7 @@ fn marks(kind: &Kind, camera: &Camera, road: Road, near: f64, far: f64) -> Optio
             .collect();
         (points.len() > 1).then(|| Mark::new(points, kind.segment_m))
     };
-    Some(Marks { marks: vec![line(-1.75)?, line(1.75)?] })
+    Some(Marks { marks: vec![line(-1.75)?, line(1.75)?], rectangles: Vec::new() })
 }
 
 #[cfg(test)]

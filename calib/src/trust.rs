@@ -91,6 +91,15 @@ pub enum Reason {
         /// Its length as the others have it, m.
         measured_m: f64,
     },
+    /// A rectangle is none on the road of the other cues.
+    Crooked {
+        /// The rectangle.
+        name: String,
+        /// Its first angle there, degrees.
+        angle_deg: f64,
+        /// Its sides there, m.
+        sides_m: [f64; 2],
+    },
     /// The stated error of a length at the far end is too large.
     UncertainFar {
         /// Standard error of a length there as a part of it.
@@ -197,6 +206,11 @@ impl fmt::Display for Reason {
                 f,
                 "{name} is given as {known_m:.2} m, and everything else makes it {measured_m:.2} m; \
                  look at its points and its length"
+            ),
+            Reason::Crooked { name, angle_deg, sides_m: [a, b] } => write!(
+                f,
+                "{name} is not right-angled, or not of its stated size, on the road of everything \
+                 else ({angle_deg:.0} degrees, {a:.2} x {b:.2} m there); look at its corners"
             ),
             Reason::AboveHorizon { vehicle, label, uv: [u, v] } => write!(
                 f,

@@ -2,6 +2,7 @@
 //!
 //! Owns reading the inputs, the progress on a terminal, and the summary.
 
+use super::residuals;
 use indicatif::{ProgressBar, ProgressStyle};
 use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Calibration;
@@ -15,7 +16,7 @@ use mvcalib::paper::loss::Form;
 use mvcalib::paper::stages::Step;
 use mvcalib::problem::Problem;
 use mvcalib::report::canvas::picture_size;
-use mvcalib::road::fit::{Cues, Fit, fit};
+use mvcalib::road::fit::{Cues, fit};
 use mvcalib::road::marks::Marks;
 use mvcalib::trust::Trust;
 use std::path::{Path, PathBuf};
@@ -65,7 +66,9 @@ pub struct Arguments {
     #[arg(long)]
     lane_lines: Option<PathBuf>,
     /// Known lengths on the road: a marks file, or labelme linestrips labelled with the metres
-    /// of each segment or a standard such as us-lane (joint, road).
+    /// of each segment or a standard such as us-lane (joint, road). Polygons of four corners are
+    /// right angles on the road, labelled `rectangle` or, where its sides are known, `rectangle
+    /// 12 x 3.5 m`.
     #[arg(long, alias = "known-lengths")]
     lengths: Option<PathBuf>,
     /// Boxes of a detector over many pictures, as `verge detect` writes them (road).
@@ -161,17 +164,18 @@ impl Arguments {
         let found = fit(&self.road(size)?, size)?;
         let mut calibration = found.calibration();
         calibration.wall_time_s = start.elapsed().as_secs_f64();
-        eprint!("{}", residuals(&found));
+        eprint!("{}", residuals::text(&found));
         Ok(calibration)
     }
 
     /// What the road shows.
     fn road(&self, size: [u32; 2]) -> Result<Cues> {
         let lanes = self.lane_lines.as_ref().map(|path| road_cues::lanes(path, size));
-        let marks = self.lengths.as_ref().map(|path| Marks::read(path));
+        let marks = self.lengths.as_ref().map(|path| Marks::read(path)).transpose()?;
         let boxes = self.detections.as_ref().map(|path| road_cues::boxes(path));
         let cues = Cues {
-            marks: marks.transpose()?.map_or_else(Vec::new, |m| m.cues()),
+            marks: marks.as_ref().map_or_else(Vec::new, Marks::cues),
+            rectangles: marks.as_ref().map_or_else(Vec::new, Marks::rectangle_cues),
             lanes: lanes.transpose()?.unwrap_or_default(),
             boxes: boxes.transpose()?.unwrap_or_default(),
             lane_width_m: self.lane_width,
@@ -187,45 +191,6 @@ impl Arguments {
         }
         Ok(cues)
     }
-}
-
-/// How each cue of a road fit fits.
-fn residuals(found: &Fit) -> String {
-    use std::fmt::Write;
-    let mut text = String::new();
-    let mut line = |l: std::fmt::Arguments<'_>| {
-        let _ = writeln!(text, "{l}");
-    };
-    for mark in &found.marks {
-        let measured: Vec<String> = mark.measured_m.iter().map(|m| format!("{m:.2}")).collect();
-        let (known, sd, measured) = (mark.known_m, mark.in_sd, measured.join(", "));
-        line(format_args!("{}: {known:.2} m, measured {measured} m ({sd:.1} sd)", mark.name));
-    }
-    for lane in &found.lanes {
-        let [near, mean, far] = lane.width_m;
-        line(format_args!("{}: {near:.2} m wide near, {mean:.2} m, {far:.2} m far", lane.name));
-    }
-    if let Some(traffic) = &found.traffic {
-        let [longer, sd] = traffic.car_length.map(|x| 100.0 * x);
-        line(format_args!(
-            "traffic: {} boxes; cars here would be {longer:+.1} % long against most fleets \
-             (+- {sd:.1} %)",
-            traffic.used
-        ));
-    }
-    let errors = found.errors();
-    for (name, place) in [("near", errors.near), ("middle", errors.middle), ("far", errors.far)] {
-        let (along, across) = (place.along, place.across);
-        line(format_args!(
-            "{name} (v {:.0} px): {:.0} m along the road +- {:.1} % ({:.2} m), across +- {:.1} %",
-            place.at[1],
-            along.length_m,
-            100.0 * along.rel_sd,
-            along.rel_sd * along.length_m,
-            100.0 * across.rel_sd,
-        ));
-    }
-    text
 }
 
 impl Arguments {
@@ -271,7 +236,13 @@ impl Arguments {
             cues.line_pairs = file.line_pairs()?;
         }
         if let Some(path) = &self.lengths {
-            cues.segments = Marks::read(path)?.segments().collect();
+            let marks = Marks::read(path)?;
+            if marks.rectangles.iter().any(|r| r.sides_m.is_none()) {
+                return Err(Error::Usage(
+                    "a rectangle without its sides is an observation of --method road alone".into(),
+                ));
+            }
+            cues.segments = marks.segments().collect();
         }
         if !cues.is_empty() && self.method != Method::Joint {
             return Err(Error::Usage(
@@ -335,8 +306,10 @@ fn summary(c: &Calibration, out: &Path) -> String {
         Trust::Ok => String::new(),
         Trust::Refused(reason) => format!("\nNOT TRUSTED: {reason}"),
     };
+    let warnings: String = c.warnings.iter().map(|w| format!("\nWARNING: {w}")).collect();
     format!(
-        "{}: {} f {:.1} px, {:.1} m above the road, {:.1} degrees down{error} ({:.2} s){trust}",
+        "{}: {} f {:.1} px, {:.1} m above the road, {:.1} degrees down{error} ({:.2} s){trust}\
+         {warnings}",
         out.display(),
         c.method,
         c.f,

@@ -8,6 +8,7 @@ mod compare;
 mod desk;
 mod manual;
 mod report;
+mod residuals;
 mod table;
 mod verify;
 

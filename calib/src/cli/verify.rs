@@ -1,7 +1,7 @@
 //! `mvcalib verify`: how far a calibration is from marks of known length.
 
 use super::{CalibrationFile, print};
-use mvcalib::error::Result;
+use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Calibration;
 use mvcalib::road::marks::Marks;
 use std::path::PathBuf;
@@ -27,6 +27,13 @@ const NINETY: f64 = 1.645;
 pub fn run(arguments: &Arguments) -> Result<()> {
     let calibration = arguments.calibration.read()?;
     let marks = Marks::read(&arguments.marks)?;
+    if marks.segments().next().is_none() {
+        return Err(Error::Marks(
+            "rectangles alone, and none with its sides: nothing to measure; label them \
+             'rectangle 12 x 3.5 m', or add a length"
+                .into(),
+        ));
+    }
     let accuracy = marks.verify(&calibration.camera())?;
     let json = serde_json::to_string(&accuracy).expect("five finite numbers are always JSON");
     if !arguments.json {

@@ -15,6 +15,8 @@ pub struct Look {
     pub problem: Option<String>,
     /// Each length in the order of the drawing.
     pub lengths: Vec<Option<LengthLook>>,
+    /// Each rectangle in the order of the drawing.
+    pub rectangles: Vec<RectangleLook>,
     /// The lanes between neighbouring lines.
     pub strips: Vec<StripLook>,
     /// Each vehicle in the order of the drawing.
@@ -77,6 +79,21 @@ pub struct LengthLook {
     pub known_m: f64,
     /// Mean measured length of its segments, m.
     pub measured_m: f64,
+    /// Typical residual in its own standard deviations.
+    pub in_sd: f64,
+    /// What to look at, where everything else contradicts it, or nothing checks a standard.
+    pub doubt: Option<String>,
+    /// Whether everything else contradicts it.
+    pub is_contradicted: bool,
+}
+
+/// How a rectangle fits.
+#[derive(Debug, Serialize)]
+pub struct RectangleLook {
+    /// Its first side and its second, m.
+    pub sides_m: [f64; 2],
+    /// Its first angle, degrees.
+    pub angle_deg: f64,
     /// Typical residual in its own standard deviations.
     pub in_sd: f64,
 }

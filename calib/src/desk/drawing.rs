@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
 use crate::files::road_cues;
 use crate::model::KEY_POINT_COUNT;
-use crate::road::fit::{Cues, LaneCue};
+use crate::road::fit::{Cues, LaneCue, RectangleCue};
 use crate::road::marks::Mark;
 use crate::road::outline;
 use crate::road::standards;
@@ -230,8 +230,12 @@ impl Drawing {
                 cues.marks.push(mark.cue(k + 1));
             }
         }
-        let corners = |r: &[Px; 4]| r.map(Vector2::from);
-        cues.rectangles = self.rectangles.iter().map(corners).collect();
+        let rectangle = |(k, r): (usize, &[Px; 4])| RectangleCue {
+            name: format!("rectangle {}", k + 1),
+            corners: r.map(Vector2::from),
+            sides_m: None,
+        };
+        cues.rectangles = self.rectangles.iter().enumerate().map(rectangle).collect();
         cues.lanes = self.strips().iter().map(Strip::cue).collect();
         if cues.lanes.is_empty() {
             cues.lanes = self.lanes.iter().filter_map(|l| self.lane_cue(l)).collect();
@@ -293,7 +297,7 @@ impl Drawing {
         LabelFile { image_width, image_height, shapes: shapes.collect(), flags: BTreeMap::new() }
     }
 
-    /// Known lengths and lane lines as labelme has them; `None` where there are none.
+    /// Known lengths with rectangles, and lane lines, as labelme has them; `None` where there are none.
     pub fn labelme_lines(&self) -> [Option<LabelFile>; 2] {
         let [image_width, image_height] = self.image_size;
         let file = |shapes: Vec<Shape>| {
@@ -311,7 +315,10 @@ impl Drawing {
         };
         let strips = self.strips();
         let sides = strips.iter().flat_map(|s| [side(&s.right), side(&s.left)]);
-        [file(self.lengths.iter().filter_map(length).collect()), file(sides.collect())]
+        let rectangle = |r: &[Px; 4]| shape_of("rectangle", r, "polygon");
+        let known = self.lengths.iter().filter_map(length);
+        let known = known.chain(self.rectangles.iter().map(rectangle));
+        [file(known.collect()), file(sides.collect())]
     }
 }
 
@@ -336,6 +343,7 @@ impl Length {
             let mut mark = Mark::new(self.points.clone(), standard.pitch_m());
             mark.rel_sd = Some(standard.tolerance);
             mark.name = Some(standard.name.clone());
+            mark.standard = Some(standard.name.clone());
             return Ok(Some(mark));
         }
         let metres = self.metres.filter(|m| *m > 0.0 && m.is_finite());

@@ -4,8 +4,8 @@
 //! (see `road`, `trust`); the answer has whatever they refuse, in their own words.
 
 use super::answer::{
-    CameraLook, ErrorLook, LaneLook, LaneMeasured, LengthLook, Look, StripLook, TrafficLook,
-    VehicleLook,
+    CameraLook, ErrorLook, LaneLook, LaneMeasured, LengthLook, Look, RectangleLook, StripLook,
+    TrafficLook, VehicleLook,
 };
 use super::drawing::{Drawing, Lane, Px};
 use super::strips::Strip;
@@ -63,6 +63,7 @@ pub fn look(drawing: &Drawing, boxes: &[BoxCue]) -> Look {
     if let Some(found) = &found {
         answer.camera = Some(camera_look(found));
         answer.lengths = length_looks(drawing, found);
+        answer.rectangles = found.rectangles.iter().map(rectangle_look).collect();
         answer.dots = dots(drawing, &found.known);
     }
     let known = found.as_ref().map(|f| &f.known);
@@ -193,9 +194,20 @@ fn length_looks(drawing: &Drawing, found: &Fit) -> Vec<Option<LengthLook>> {
             |m: &&fit::MarkResidual| m.name == name || m.name.starts_with(&format!("{name} "));
         let mark = found.marks.iter().find(own)?;
         let measured_m = mark.measured_m.iter().sum::<f64>() / mark.measured_m.len() as f64;
-        Some(LengthLook { known_m: mark.known_m, measured_m, in_sd: mark.in_sd })
+        let doubt = found.doubts.iter().find(|d| d.name == mark.name);
+        Some(LengthLook {
+            known_m: mark.known_m,
+            measured_m,
+            in_sd: mark.in_sd,
+            doubt: doubt.map(|d| d.to_string()),
+            is_contradicted: doubt.is_some_and(|d| d.others.is_some()),
+        })
     };
     (0..drawing.lengths.len()).map(of).collect()
+}
+
+fn rectangle_look(found: &fit::RectangleResidual) -> RectangleLook {
+    RectangleLook { sides_m: found.sides_m, angle_deg: found.angle_deg, in_sd: found.in_sd }
 }
 
 fn strip_look(strip: &Strip, found: Option<&Fit>) -> StripLook {

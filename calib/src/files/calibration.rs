@@ -21,6 +21,7 @@
 //! | `uncertainty` | | covariance of the camera (joint, road) |
 //! | `errors` | 1 | standard error of a length near, in the middle and far (road) |
 //! | `trust` | | `ok`, or why not to trust it |
+//! | `warnings` | | lengths that everything else contradicts, standards that nothing checks (road, optional) |
 //!
 //! Only `f`, `rvec`, `tvec` and `image_size` are needed to read one, so the authors' own
 //! result files are readable too.
@@ -124,6 +125,9 @@ pub struct Calibration {
     /// Whether it may be used.
     #[serde(default)]
     pub trust: Trust,
+    /// What a person should look at although it may be used.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
 }
 
 /// A vehicle and the model that it matched.
@@ -191,6 +195,7 @@ impl Calibration {
             uncertainty: None,
             errors: None,
             trust: Trust::Ok,
+            warnings: Vec::new(),
         }
     }
 

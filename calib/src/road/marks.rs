@@ -8,7 +8,7 @@
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
-use crate::road::fit::MarkCue;
+use crate::road::fit::{MarkCue, RectangleCue};
 use crate::road::standards;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -18,7 +18,75 @@ use std::path::Path;
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Marks {
     /// The marks.
+    #[serde(default)]
     pub marks: Vec<Mark>,
+    /// Right angles on the road.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rectangles: Vec<Rectangle>,
+}
+
+/// A rectangle on the road.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct Rectangle {
+    /// Its corners (u, v) in order, px.
+    pub points: [[f64; 2]; 4],
+    /// Length of its first side (from the first corner to the second) and of its second, m, where
+    /// they are measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sides_m: Option<[f64; 2]>,
+    /// What it is called.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+}
+
+impl Rectangle {
+    /// From a labelme polygon of four corners: its label is `rectangle`, or holds the metres of the
+    /// first and the second side (`rectangle 12 x 3.5 m`).
+    fn of_shape(shape: &Shape) -> Result<Self> {
+        let label = shape.label.trim();
+        let wrong = |problem: &str| {
+            let n = shape.points.len();
+            Err(Error::Marks(format!("'{label}' ({}, {n} points): {problem}", shape.shape_type)))
+        };
+        if shape.shape_type == "rectangle" {
+            return wrong(
+                "labelme's rectangle is upright in the picture; draw the road's as a polygon of \
+                 its four corners",
+            );
+        }
+        let Ok(points) = <[[f64; 2]; 4]>::try_from(shape.points.as_slice()) else {
+            return wrong("a rectangle on the road is a polygon of four corners");
+        };
+        // Words, then the sides: from the first digit on.
+        let sides_m = match label.find(|c: char| c.is_ascii_digit()) {
+            None => None,
+            Some(first) => {
+                let metres = |text: &str| {
+                    let text = text.trim().trim_end_matches("metres").trim_end_matches('m');
+                    text.trim_end().parse().ok()
+                };
+                let sides = label[first..]
+                    .split_once(['x', 'X', '*'])
+                    .and_then(|(a, b)| Some([metres(a)?, metres(b)?]));
+                if sides.is_none() {
+                    return wrong(
+                        "its label is 'rectangle', or has both sides: 'rectangle 12 x 3.5 m', the \
+                         first from the first corner to the second",
+                    );
+                }
+                sides
+            }
+        };
+        Ok(Rectangle { points, sides_m, name: Some(label.to_owned()) })
+    }
+
+    /// The cue of the road fit.
+    pub fn cue(&self, number: usize) -> RectangleCue {
+        let name = self.name.as_ref().filter(|n| !n.is_empty() && *n != "rectangle");
+        let name =
+            name.map_or(format!("rectangle {number}"), |n| format!("rectangle {number} ({n})"));
+        RectangleCue { name, corners: self.points.map(Vector2::from), sides_m: self.sides_m }
+    }
 }
 
 /// A polyline on the road whose segments all have one length.
@@ -72,6 +140,7 @@ impl Mark {
         let mut cue = MarkCue::measured(name, points, self.segment_length_m);
         cue.rel_sd = self.rel_sd.unwrap_or(cue.rel_sd);
         cue.px_sd = self.px_sd.unwrap_or(cue.px_sd);
+        cue.standard = self.standard.clone();
         cue
     }
 }
@@ -102,14 +171,21 @@ impl Marks {
             .is_ok_and(|value| value.get("shapes").is_some());
         let mut marks = if labelled {
             let file = LabelFile::parse(&bytes).map_err(wrong)?;
-            let line = |s: &&Shape| matches!(s.shape_type.as_str(), "line" | "linestrip");
-            if let Some(other) = file.shapes.iter().find(|s| !line(s)) {
+            let kind = |s: &Shape| match s.shape_type.as_str() {
+                "line" | "linestrip" => Some(false),
+                "polygon" | "rectangle" => Some(true),
+                _ => None,
+            };
+            if let Some(other) = file.shapes.iter().find(|s| kind(s).is_none()) {
                 return Err(Error::Marks(format!(
-                    "'{}' is a {}; a length is a line or linestrip labelled with its metres",
+                    "'{}' is a {}; a length is a line or linestrip labelled with its metres, a \
+                     rectangle a polygon of four corners",
                     other.label, other.shape_type
                 )));
             }
-            Marks { marks: file.shapes.iter().map(Mark::of_shape).collect() }
+            let of = |is_area| file.shapes.iter().filter(move |s| kind(s) == Some(is_area));
+            let rectangles = of(true).map(Rectangle::of_shape).collect::<Result<_>>()?;
+            Marks { marks: of(false).map(Mark::of_shape).collect(), rectangles }
         } else {
             serde_json::from_slice(&bytes).map_err(|e| wrong(e.to_string()))?
         };
@@ -128,8 +204,13 @@ impl Marks {
         self.marks.iter().enumerate().map(|(k, m)| m.cue(k + 1)).collect()
     }
 
+    /// The same of the rectangles.
+    pub fn rectangle_cues(&self) -> Vec<RectangleCue> {
+        self.rectangles.iter().enumerate().map(|(k, r)| r.cue(k + 1)).collect()
+    }
+
     fn check(&self) -> Result<()> {
-        if self.marks.is_empty() {
+        if self.marks.is_empty() && self.rectangles.is_empty() {
             return Err(Error::Marks("none in the file".into()));
         }
         for (index, mark) in self.marks.iter().enumerate() {
@@ -154,19 +235,34 @@ impl Marks {
                 return Err(Error::Marks(format!("mark {number}: rel_sd and px_sd are above 0")));
             }
         }
+        let corners = self.rectangles.iter().flat_map(|r| r.points.iter().flatten());
+        if corners.copied().any(|x| !x.is_finite()) {
+            return Err(Error::Marks("a rectangle has a corner that is not a number".into()));
+        }
         Ok(())
     }
 
-    /// The segments: both ends (px) and the known length (m).
+    /// The segments: both ends (px) and the known length (m). The sides of rectangles, where they
+    /// are known, follow the marks.
     pub fn segments(&self) -> impl Iterator<Item = Segment> + '_ {
-        self.marks.iter().enumerate().flat_map(|(m, mark)| {
+        let first = self.marks.len() + 1;
+        let sides = self.rectangles.iter().enumerate().flat_map(move |(r, rectangle)| {
+            let corner = |k: usize| Vector2::from(rectangle.points[k % 4]);
+            (0..4).filter_map(move |k| {
+                let length_m = rectangle.sides_m?[k % 2];
+                let ends = [corner(k), corner(k + 1)];
+                Some(Segment { mark: first + r, point: k + 1, ends, length_m })
+            })
+        });
+        let marks = self.marks.iter().enumerate().flat_map(|(m, mark)| {
             mark.points.windows(2).enumerate().map(move |(p, ends)| Segment {
                 mark: m + 1,
                 point: p + 1,
                 ends: [ends[0].into(), ends[1].into()],
                 length_m: mark.segment_length_m,
             })
-        })
+        });
+        marks.chain(sides)
     }
 
     /// Measures every segment with a camera.
@@ -238,9 +334,41 @@ mod tests {
         assert_eq!(a.segments, 2);
     }
 
+    fn shape(label: &str, shape_type: &str, points: usize) -> Shape {
+        let corners = [[10.0, 90.0], [60.0, 90.0], [50.0, 50.0], [20.0, 50.0], [15.0, 70.0]];
+        Shape {
+            label: label.into(),
+            points: corners[..points].to_vec(),
+            shape_type: shape_type.into(),
+            group_id: None,
+            flags: Default::default(),
+        }
+    }
+
+    #[test]
+    fn a_rectangle_is_a_polygon_of_four_corners_with_or_without_its_sides() {
+        let read = |label: &str| Rectangle::of_shape(&shape(label, "polygon", 4)).unwrap().sides_m;
+        assert_eq!(read("rectangle"), None);
+        assert_eq!(read("parking bay"), None);
+        assert_eq!(read("rectangle 12 x 3.5 m"), Some([12.0, 3.5]));
+        assert_eq!(read("5m x 2.5m"), Some([5.0, 2.5]));
+        for (label, kind, points, expected) in [
+            ("rectangle", "polygon", 5, "four corners"),
+            ("rectangle", "rectangle", 2, "upright in the picture"),
+            ("rectangle 12", "polygon", 4, "both sides"),
+            ("rectangle 12 x y", "polygon", 4, "both sides"),
+        ] {
+            let error = Rectangle::of_shape(&shape(label, kind, points)).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains(label), "{error}");
+        }
+    }
+
     #[test]
     fn impossible_marks_are_named() {
-        let mark = |points, metres| Marks { marks: vec![Mark::new(points, metres)] };
+        let mark = |points, metres| Marks {
+            marks: vec![Mark::new(points, metres)],
+            rectangles: Vec::new(),
+        };
         assert!(mark(vec![[1.0, 2.0]], 6.0).check().is_err());
         assert!(mark(vec![[1.0, 2.0], [3.0, 4.0]], 0.0).check().is_err());
         assert!(mark(vec![[1.0, f64::NAN], [3.0, 4.0]], 6.0).check().is_err());

@@ -103,6 +103,7 @@ export const step = {
     el("h2", { text: "The road" }),
     cameraCard(desk),
     ...lengths(desk),
+    ...rectangles(desk),
     ...lines(desk),
     ...known(desk),
     ...vehicles(desk),
@@ -123,7 +124,7 @@ export const step = {
     });
     drawing.lengths.forEach((s, k) => {
       const fit = look?.lengths[k];
-      const colour = fit && fit.in_sd > CONTRADICTION ? COLOURS.bad : COLOURS.length;
+      const colour = fit && (fit.in_sd > CONTRADICTION || fit.is_contradicted) ? COLOURS.bad : COLOURS.length;
       stroke(c, placed, s.points, colour, { width: 2.5 });
       s.points.forEach((p) => knob(c, placed, p, colour, isChosen("length", k)));
       label(c, placed, middle(s.points), s.metres ? `${k + 1}: ${s.metres} m` : s.standard ? `${k + 1}: ${s.standard}` : `${k + 1}: ? m`, colour, -16);
@@ -187,13 +188,14 @@ function lengths(desk) {
       el("option", { value: "", text: "measured" }),
       ...desk.site.standards.map((t) => el("option", { value: t.name, title: `${t.what}: ${t.pitch_m.toFixed(2)} m from dash to dash`, text: `${t.name} (${t.pitch_m.toFixed(1)} m)` })));
       select.value = s.standard ?? "";
-      return item(desk, "length", index, COLOURS.length, String(index + 1), off ? "bad" : "",
+      return item(desk, "length", index, COLOURS.length, String(index + 1), off || fit?.is_contradicted ? "bad" : "",
         el("span", { class: "controls" },
           s.standard === null && metres(`length-${index}`, s.metres, (value) => desk.store.edit((d) => { d.lengths[index].metres = value; }, `length ${index}`)),
           select,
         ),
-        fit ? el("span", { class: `wide ${off ? "bad-text" : "dim"}`, text: `measures ${fit.measured_m.toFixed(2)} m, ${percent(Math.abs(fit.measured_m / fit.known_m - 1))} ${fit.measured_m > fit.known_m ? "more" : "less"} (${fit.in_sd.toFixed(1)} sd)${off ? ": look at its ends and its metres" : ""}` })
+        fit ? el("span", { class: `wide ${off ? "bad-text" : "dim"}`, text: `measures ${fit.measured_m.toFixed(2)} m, ${percent(Math.abs(fit.measured_m / fit.known_m - 1))} ${fit.measured_m > fit.known_m ? "more" : "less"} (${fit.in_sd.toFixed(1)} sd)${off && !fit.doubt ? ": look at its ends and its metres" : ""}` })
           : s.standard === null && s.metres === null ? el("span", { class: "wide fair-text", text: "type its metres" }) : null,
+        fit?.doubt ? el("span", { class: `wide ${fit.is_contradicted ? "bad-text" : "fair-text"}`, id: `doubt-${index}`, text: fit.doubt }) : null,
       );
     })),
   ];
@@ -201,16 +203,33 @@ function lengths(desk) {
 
 /**
  * @param {Desk} desk @param {import("./types.js").Handle["kind"]} kind @param {number} index
- * @param {string} colour @param {string} mark @param {string} state @param {Node} main @param {Node | null} more
+ * @param {string} colour @param {string} mark @param {string} state @param {Node} main @param {(Node | null)[]} more
  */
-function item(desk, kind, index, colour, mark, state, main, more) {
+function item(desk, kind, index, colour, mark, state, main, ...more) {
   const swatch = el("span", { class: "swatch", text: mark });
   swatch.style.background = colour;
   const chosen = desk.selection?.kind === kind && desk.selection.index === index;
   return el("div", { class: `item ${chosen ? "selected" : ""} ${state}`, onclick: (/** @type {MouseEvent} */ e) => { if (!(e.target instanceof HTMLInputElement || e.target instanceof HTMLSelectElement || e.target instanceof HTMLButtonElement)) desk.select({ kind, index }); } },
     swatch, main,
     el("button", { class: "close", title: "Remove", "aria-label": `remove ${kind} ${index + 1}`, onclick: () => { desk.selection = { kind, index }; desk.remove(); } }, "×"),
-    more);
+    ...more);
+}
+
+/** @param {Desk} desk */
+function rectangles(desk) {
+  const { drawing } = desk.store;
+  if (!drawing.rectangles.length) return [];
+  return [
+    el("h3", { text: "Rectangles" }),
+    el("div", { class: "list", id: "rectangles" }, ...drawing.rectangles.map((_, index) => {
+      const fit = desk.look?.rectangles[index];
+      const off = fit && fit.in_sd > CONTRADICTION;
+      const main = fit
+        ? el("span", { class: off ? "bad-text" : "dim", text: `${fit.sides_m[0].toFixed(2)} by ${fit.sides_m[1].toFixed(2)} m, ${fit.angle_deg.toFixed(0)}° (${fit.in_sd.toFixed(1)} sd)${off ? ": look at its corners" : ""}` })
+        : el("span", { class: "dim", text: "right angles" });
+      return item(desk, "rectangle", index, COLOURS.rectangle, String(index + 1), off ? "bad" : "", main);
+    })),
+  ];
 }
 
 /** @param {Desk} desk */

@@ -50,7 +50,8 @@
  * @property {number} whole
  * @property {{used: number, longer: number, longer_sd: number} | null} traffic
  */
-/** @typedef {{known_m: number, measured_m: number, in_sd: number}} LengthLook */
+/** @typedef {{known_m: number, measured_m: number, in_sd: number, doubt: string | null, is_contradicted: boolean}} LengthLook */
+/** @typedef {{sides_m: [number, number], angle_deg: number, in_sd: number}} RectangleLook */
 /** @typedef {{lines: [number, number], width_m: [number, number, number] | null, outline: Px[]}} StripLook */
 /** @typedef {{misfit_px: number | null, problem: string | null}} VehicleLook */
 /**
@@ -68,6 +69,7 @@
  * @property {CameraLook | null} camera
  * @property {string | null} problem
  * @property {(LengthLook | null)[]} lengths
+ * @property {RectangleLook[]} rectangles
  * @property {StripLook[]} strips
  * @property {VehicleLook[]} vehicles
  * @property {[number, number, number][]} dots

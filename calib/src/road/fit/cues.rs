@@ -36,8 +36,8 @@ pub struct Cues {
     pub marks: Vec<MarkCue>,
     /// Lanes, each drawn as its two lines.
     pub lanes: Vec<LaneCue>,
-    /// Right angles on the road: four corners in order, px.
-    pub rectangles: Vec<[Vector2<f64>; 4]>,
+    /// Right angles on the road.
+    pub rectangles: Vec<RectangleCue>,
     /// Width of the lanes where it is known, m.
     pub lane_width_m: Option<f64>,
     /// Height of the camera above the road where it is known, m.
@@ -62,14 +62,30 @@ pub struct MarkCue {
     pub rel_sd: f64,
     /// How well the points are read, px.
     pub px_sd: f64,
+    /// The national standard that gives the length, by name.
+    pub standard: Option<String>,
 }
 
 impl MarkCue {
     /// A mark read by hand and measured on the road.
     pub fn measured(name: impl Into<String>, points: Vec<Vector2<f64>>, segment_m: f64) -> Self {
         let name = name.into();
-        MarkCue { name, points, segment_m, rel_sd: MEASURED_REL_SD, px_sd: READING_PX }
+        let (rel_sd, px_sd) = (MEASURED_REL_SD, READING_PX);
+        MarkCue { name, points, segment_m, rel_sd, px_sd, standard: None }
     }
+}
+
+/// A rectangle on the road: a parking bay, a stop line's box, the ends of two dashes beside each
+/// other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RectangleCue {
+    /// What it is called in messages.
+    pub name: String,
+    /// Its corners in order, px.
+    pub corners: [Vector2<f64>; 4],
+    /// Length of its first side (from the first corner to the second) and of its second, m, where
+    /// they are measured.
+    pub sides_m: Option<[f64; 2]>,
 }
 
 /// A lane as its two lines, each from near to far.
@@ -172,6 +188,7 @@ impl Cues {
     pub fn points(&self) -> impl Iterator<Item = Vector2<f64>> + '_ {
         let marks = self.marks.iter().flat_map(|m| &m.points);
         let lanes = self.lanes.iter().flat_map(|l| l.right.iter().chain(&l.left));
-        marks.chain(lanes).chain(self.rectangles.iter().flatten()).copied()
+        let corners = self.rectangles.iter().flat_map(|r| &r.corners);
+        marks.chain(lanes).chain(corners).copied()
     }
 }

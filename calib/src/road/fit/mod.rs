@@ -29,6 +29,7 @@
 mod advice;
 mod bodies;
 mod cues;
+mod doubt;
 mod hull;
 mod lanes;
 mod marks;
@@ -39,7 +40,10 @@ mod solve;
 mod traffic;
 mod view;
 
-pub use cues::{BoxCue, Class, Cues, Labelled, LaneCue, MEASURED_REL_SD, MarkCue, READING_PX};
+pub use cues::{
+    BoxCue, Class, Cues, Labelled, LaneCue, MEASURED_REL_SD, MarkCue, READING_PX, RectangleCue,
+};
+pub use doubt::{Doubt, Others};
 pub use traffic::MAX_BOXES;
 
 use crate::camera::Camera;
@@ -48,6 +52,7 @@ use crate::files::calibration::Calibration;
 use crate::files::stated::{StatedError, StatedErrors, Uncertainty};
 use crate::road::length_error::{CameraCovariance, LengthError, UncertainCamera};
 use crate::trust::{self, Reason, Trust};
+use doubt::Fitted;
 use lanes::OnRoad;
 use nalgebra::{Matrix6, Vector2, Vector3};
 use problem::Problem;
@@ -72,6 +77,10 @@ pub struct Fit {
     pub marks: Vec<MarkResidual>,
     /// Each lane that is steady, in the order of the cues.
     pub lanes: Vec<LaneResidual>,
+    /// Each rectangle, in the order of the cues.
+    pub rectangles: Vec<RectangleResidual>,
+    /// The marks that everything else contradicts, and the standards that nothing else checks.
+    pub doubts: Vec<Doubt>,
     /// What the traffic says.
     pub traffic: Option<TrafficResidual>,
     /// The cost at the optimum: negative logarithm of the posterior but for a constant.
@@ -103,6 +112,21 @@ pub struct LaneResidual {
     pub name: String,
     /// Width at its near end, on average and at its far end, m.
     pub width_m: [f64; 3],
+}
+
+/// How a rectangle fits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RectangleResidual {
+    /// What it is called.
+    pub name: String,
+    /// Mean length of its first side and the one opposite, and of the other two, m.
+    pub sides_m: [f64; 2],
+    /// The same as stated.
+    pub known_m: Option<[f64; 2]>,
+    /// Angle at its first corner, degrees.
+    pub angle_deg: f64,
+    /// Typical residual in its own standard deviations.
+    pub in_sd: f64,
 }
 
 /// What the traffic says.
@@ -175,18 +199,28 @@ pub fn fit(cues: &Cues, image_size: [u32; 2]) -> Result<Fit> {
             .into(),
     };
     let optimum = problem.solve().ok_or_else(none)?;
-    let covariance = optimum.covariance().ok_or_else(none)?;
+    let own_covariance = optimum.covariance().ok_or_else(none)?;
     let unknowns = optimum.camera();
     let view = View::new(&unknowns, image_size);
-    let covariance = in_lens_terms(&unknowns, image_size, &covariance);
+    let covariance = in_lens_terms(&unknowns, image_size, &own_covariance);
     let known = UncertainCamera { camera: camera(&unknowns, image_size), covariance };
     let places = places(cues, &problem, &view).ok_or_else(none)?;
     let errors = errors(&known, &places).ok_or_else(none)?;
     let marks = mark_residuals(cues, &view);
-    let trust = verdict(&known, &errors, &marks);
+    let rectangles = rectangle_residuals(cues, &view);
+    let trust = verdict(&known, &errors, &marks, &rectangles);
+    let information = own_covariance.try_inverse().ok_or_else(none)?;
+    let weights = &problem.mark_weight;
+    let fitted = Fitted { camera: &unknowns, information: &information, image_size, weights };
+    let mut doubts = fitted.contradicted(&cues.marks);
+    if doubts.is_empty() {
+        doubts = doubt::unchecked(cues, image_size, optimum.cost);
+    }
     Ok(Fit {
+        doubts,
         marks,
         lanes: lane_residuals(cues, &view),
+        rectangles,
         traffic: traffic_residual(&optimum),
         cost: optimum.cost,
         evaluations: problem.evaluations,
@@ -214,6 +248,7 @@ impl Fit {
         calibration.rel_err = Some(self.errors.whole.rel_sd);
         calibration.evaluations = self.evaluations;
         calibration.trust = self.trust.clone();
+        calibration.warnings = self.doubts.iter().map(Doubt::to_string).collect();
         calibration.uncertainty = Some(Uncertainty::of(&self.known, None));
         calibration.errors = Some(self.errors.stated());
         calibration
@@ -248,6 +283,24 @@ fn check(cues: &Cues, image_size: [u32; 2]) -> Result<()> {
             return Err(Error::Marks(format!(
                 "{}: two of its points are less than a pixel apart",
                 mark.name
+            )));
+        }
+    }
+    for rectangle in &cues.rectangles {
+        let positive = |sides: [f64; 2]| sides.iter().all(|m| *m > 0.0 && m.is_finite());
+        if !rectangle.sides_m.is_none_or(positive) {
+            return Err(Error::Marks(format!(
+                "{}: the sides of a rectangle are metres above 0",
+                rectangle.name
+            )));
+        }
+        let corner = |k: usize| rectangle.corners[k % 4];
+        let turn = |k: usize| (corner(k + 1) - corner(k)).perp(&(corner(k + 2) - corner(k + 1)));
+        let is_convex = (0..4).all(|k| turn(k) > 0.0) || (0..4).all(|k| turn(k) < 0.0);
+        if !is_convex {
+            return Err(Error::Marks(format!(
+                "{}: its corners do not go round; click them in order, without crossing",
+                rectangle.name
             )));
         }
     }
@@ -359,10 +412,30 @@ fn mark_residuals(cues: &Cues, view: &View) -> Vec<MarkResidual> {
             name: mark.name.clone(),
             known_m: mark.segment_m,
             measured_m: logs.iter().map(|l| mark.segment_m * l.exp()).collect(),
-            in_sd: (white.norm_squared() / white.len() as f64).sqrt(),
+            in_sd: marks::typical(&white),
         })
     };
     cues.marks.iter().filter_map(of).collect()
+}
+
+fn rectangle_residuals(cues: &Cues, view: &View) -> Vec<RectangleResidual> {
+    let of = |cue: &RectangleCue| {
+        let white = marks::rectangle_whitening(cue, view)? * marks::rectangle(cue, view)?;
+        let mut g = [Vector2::zeros(); 4];
+        for (g, uv) in g.iter_mut().zip(&cue.corners) {
+            *g = view.ground(*uv)?;
+        }
+        let side = |k: usize| g[(k + 1) % 4] - g[k];
+        let mean = |k: usize| 0.5 * (side(k).norm() + side(k + 2).norm());
+        Some(RectangleResidual {
+            name: cue.name.clone(),
+            sides_m: [mean(0), mean(1)],
+            known_m: cue.sides_m,
+            angle_deg: side(0).angle(&-side(3)).to_degrees(),
+            in_sd: marks::typical(&white),
+        })
+    };
+    cues.rectangles.iter().filter_map(of).collect()
 }
 
 fn lane_residuals(cues: &Cues, view: &View) -> Vec<LaneResidual> {
@@ -385,17 +458,28 @@ fn traffic_residual(optimum: &Optimum) -> Option<TrafficResidual> {
     })
 }
 
-fn verdict(known: &UncertainCamera, errors: &RoadErrors, marks: &[MarkResidual]) -> Trust {
+fn verdict(
+    known: &UncertainCamera,
+    errors: &RoadErrors,
+    marks: &[MarkResidual],
+    rectangles: &[RectangleResidual],
+) -> Trust {
     let worst = marks.iter().max_by(|a, b| a.in_sd.total_cmp(&b.in_sd));
     let contradiction = || {
         let mark = worst.filter(|m| m.in_sd > CONTRADICTION)?;
         let measured_m = mark.measured_m.iter().sum::<f64>() / mark.measured_m.len() as f64;
         Some(Reason::Contradiction { name: mark.name.clone(), known_m: mark.known_m, measured_m })
     };
+    let crooked = || {
+        let worst = rectangles.iter().max_by(|a, b| a.in_sd.total_cmp(&b.in_sd))?;
+        let RectangleResidual { name, angle_deg, sides_m, .. } = worst.clone();
+        (worst.in_sd > CONTRADICTION).then_some(Reason::Crooked { name, angle_deg, sides_m })
+    };
     let advice = || advice::best(known, errors);
     Trust::of(
         trust::height(&known.camera)
             .or_else(contradiction)
+            .or_else(crooked)
             .or_else(|| trust::uncertain(Some(errors.whole.rel_sd), advice))
             .or_else(|| trust::uncertain_far(errors.far.along.rel_sd, advice)),
     )

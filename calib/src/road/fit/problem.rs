@@ -27,7 +27,8 @@ pub struct Problem<'a> {
     pub(super) traffic: Traffic,
     pub(super) mark_white: Vec<DMatrix<f64>>,
     pub(super) mark_weight: Vec<f64>,
-    rectangle_white: Vec<DMatrix<f64>>,
+    pub(super) rectangle_white: Vec<DMatrix<f64>>,
+    pub(super) rectangle_weight: Vec<f64>,
     lane_held: Vec<Option<lanes::Held>>,
     width_white: DMatrix<f64>,
     /// Steps taken, evaluations of all residuals.
@@ -58,6 +59,7 @@ impl<'a> Problem<'a> {
             mark_white: Vec::new(),
             mark_weight: vec![1.0; cues.marks.len()],
             rectangle_white: Vec::new(),
+            rectangle_weight: vec![1.0; cues.rectangles.len()],
             lane_held: Vec::new(),
             width_white: DMatrix::zeros(0, 0),
             evaluations: 0,
@@ -111,8 +113,10 @@ impl<'a> Problem<'a> {
             let r = white * marks::log_ratios(mark, &view)? * weight.sqrt();
             out.extend(r.iter());
         }
-        for (corners, white) in self.cues.rectangles.iter().zip(&self.rectangle_white) {
-            out.extend((white * marks::rectangle(corners, &view)?).iter());
+        for ((cue, white), weight) in
+            self.cues.rectangles.iter().zip(&self.rectangle_white).zip(&self.rectangle_weight)
+        {
+            out.extend((white * marks::rectangle(cue, &view)? * weight.sqrt()).iter());
         }
         let mean = self.cues.lane_width_m.unwrap_or(LANE_WIDTH_M[0]);
         let mut widths = Vec::new();

@@ -4,12 +4,12 @@
 //! Owns starts, steps and the curvature at the optimum. Does not own priors and residuals (see
 //! `prior`, `problem`) nor what is made of the result (see the chapter's `mod`).
 
-use super::marks;
+use super::marks::{self, typical};
 use super::mixture::Mixture;
 use super::problem::{ALL, Information, Problem, Theta, camera_of, shared_of};
 use super::traffic::{SHARED_SD, Shared, Traffic};
 use super::view::{CAMERA, DISTORTION, LOG_F, LOG_HEIGHT, TILT, Unknowns};
-use nalgebra::{SMatrix, Vector2};
+use nalgebra::{DVector, SMatrix, Vector2};
 
 /// Focal lengths to start from, widths.
 const STARTS: [f64; 4] = [0.7, 1.1, 1.7, 2.6];
@@ -100,13 +100,17 @@ impl Problem<'_> {
         Some((theta, moved))
     }
 
-    /// Weights of marks that do not fit (Huber): a slip of the pen must not bend the camera.
+    /// Weights of marks and rectangles that do not fit (Huber): a slip of the pen must not bend the
+    /// camera.
     fn reweigh(&mut self, camera: &Unknowns) -> Option<()> {
         let view = self.view(camera);
+        let weight = |r: DVector<f64>| HUBER / typical(&r).max(HUBER);
         for (k, (mark, white)) in self.cues.marks.iter().zip(&self.mark_white).enumerate() {
-            let r = white * marks::log_ratios(mark, &view)?;
-            let typical = (r.norm_squared() / r.len() as f64).sqrt();
-            self.mark_weight[k] = (HUBER / typical.max(HUBER)).min(1.0);
+            self.mark_weight[k] = weight(white * marks::log_ratios(mark, &view)?);
+        }
+        for (k, (cue, white)) in self.cues.rectangles.iter().zip(&self.rectangle_white).enumerate()
+        {
+            self.rectangle_weight[k] = weight(white * marks::rectangle(cue, &view)?);
         }
         Some(())
     }
@@ -195,6 +199,7 @@ impl Problem<'_> {
         let mut found: Vec<(Theta, Option<Mixture>)> = Vec::new();
         for widths in STARTS {
             self.mark_weight.fill(1.0);
+            self.rectangle_weight.fill(1.0);
             let Some(theta) = self.start(widths * width) else { continue };
             if self.traffic.seen.is_empty() {
                 found.extend(self.alternate(theta, None, &all, 12, &[]));

@@ -58,7 +58,7 @@ fn conv(name: &str, size: Size, channels: usize, kernel: usize, deep: bool, int8
 fn done(mut builder: Builder, out: Tensor) -> Net {
     let channels = builder.shape(out).channels;
     if builder.quant_params(out).is_none() {
-        return builder.finish(&[out]).expect("floats");
+        return builder.finish(&[out]).expect("floats").net();
     }
     let small = builder.pool(out, 3, 60, 1).expect("it fits");
     let values = vec![1i8; channels];
@@ -74,7 +74,7 @@ fn done(mut builder: Builder, out: Tensor) -> Net {
         out: None,
     };
     let end = builder.conv(small, &conv).expect("a kernel");
-    builder.finish(&[end]).expect("floats")
+    builder.finish(&[end]).expect("floats").net()
 }
 
 fn run(bencher: Bencher<'_, '_>, mut net: Net) {

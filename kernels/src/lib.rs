@@ -37,5 +37,5 @@ mod x86;
 
 pub use builder::{Builder, PlanError, Tensor};
 pub use isa::Isa;
-pub use net::{Net, Shape};
+pub use net::{Net, Plan, Shape};
 pub use pack::{Conv, QuantParams, Weights};

@@ -49,6 +49,41 @@ pub(crate) struct Program {
     pub scratch: usize,
 }
 
+/// A network that is laid out, with its weights but without memory to run in. A clone shares the
+/// weights.
+#[derive(Clone)]
+pub struct Plan(Arc<Program>);
+
+/// Without weights.
+impl std::fmt::Debug for Plan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let steps: Vec<_> = self.0.steps.iter().map(|step| step.op.name()).collect();
+        f.debug_struct("Plan").field("isa", &self.0.isa).field("steps", &steps).finish()
+    }
+}
+
+impl Plan {
+    pub(crate) fn new(program: Program) -> Self {
+        Self(Arc::new(program))
+    }
+
+    /// The network on memory of its own.
+    pub fn net(&self) -> Net {
+        let arena = Arena::new(self.0.activations, self.0.scratch);
+        Net { program: self.0.clone(), arena }
+    }
+
+    /// The instruction set that it was put together for.
+    pub fn isa(&self) -> Isa {
+        self.0.isa
+    }
+
+    /// Shapes of its inputs, and their quantisation; `None` for floats.
+    pub fn inputs(&self) -> impl Iterator<Item = (Shape, Option<QuantParams>)> {
+        self.0.inputs.iter().map(|port| (port.shape, port.quant))
+    }
+}
+
 /// A network that is ready to run. A clone shares the weights and has memory of its own.
 #[derive(Clone)]
 pub struct Net {
@@ -59,25 +94,14 @@ pub struct Net {
 /// Without weights and pixels.
 impl std::fmt::Debug for Net {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let steps: Vec<_> = self.program.steps.iter().map(|step| step.op.name()).collect();
-        f.debug_struct("Net").field("isa", &self.program.isa).field("steps", &steps).finish()
+        f.debug_tuple("Net").field(&Plan(self.program.clone())).finish()
     }
 }
 
 impl Net {
-    pub(crate) fn new(program: Arc<Program>) -> Self {
-        let arena = Arena::new(program.activations, program.scratch);
-        Self { program, arena }
-    }
-
     /// The instruction set that it was put together for.
     pub fn isa(&self) -> Isa {
         self.program.isa
-    }
-
-    /// Number of inputs.
-    pub fn inputs(&self) -> usize {
-        self.program.inputs.len()
     }
 
     /// Shape of input `index`, and its quantisation; `None` for floats.

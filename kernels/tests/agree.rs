@@ -122,7 +122,7 @@ fn everything(isa: Isa, seed: u64, [height, width]: [usize; 2]) -> Net {
     let last = conv(&mut b, large, deep(87, 5, 2), random);
     let end = Form { channels: 38, float_out: true, ..plain };
     let end = conv(&mut b, last, end, random);
-    b.finish(&[end]).expect("floats")
+    b.finish(&[end]).expect("floats").net()
 }
 
 /// A copy in other steps.
@@ -229,7 +229,7 @@ fn convolutions_are_their_definition() {
                 out: None,
             };
             let end = builder.conv(start, &conv).expect("known");
-            let mut net = builder.finish(&[end]).expect("floats");
+            let mut net = builder.finish(&[end]).expect("floats").net();
             net.input_bytes(0).copy_from_slice(&input);
             net.run();
             let found: Vec<i32> = net.output(0).flatten().map(|&v| v as i32).collect();
@@ -274,7 +274,7 @@ fn floats_agree_to_rounding() {
         let joined = b.concat(&[mixed, sum], None).expect("alike");
         let large = b.double(joined);
         let end = conv(&mut b, large, 70, 1, 1, false);
-        let mut net = b.finish(&[end]).expect("floats");
+        let mut net = b.finish(&[end]).expect("floats").net();
         let picture = Random(5).floats(30 * 22 * 3);
         net.input_floats(0).copy_from_slice(&picture);
         net.run();

@@ -2,20 +2,21 @@
 
 use super::{Builder, PlanError, Tensor, refuse};
 use crate::layout::{Block, lay_out};
-use crate::net::{Net, Port, Program};
+use crate::net::{Plan, Port, Program};
 use crate::op::{BEHIND, Place, Step};
-use std::sync::Arc;
 
 impl Builder {
     /// Lays out the memory.
     ///
     /// # Errors
     /// [`PlanError`] where there is no output.
-    pub fn finish(self, outputs: &[Tensor]) -> Result<Net, PlanError> {
+    pub fn finish(mut self, outputs: &[Tensor]) -> Result<Plan, PlanError> {
         if outputs.is_empty() {
             return refuse("a network without an output");
         }
         let (offsets, bytes) = lay_out(&self.blocks(outputs));
+        // Moved, not copied: the weights are in there.
+        let ops = std::mem::take(&mut self.ops);
         let place = |tensor: Tensor| {
             let (at, first) = self.whole(tensor);
             let whole = &self.activations[at.0];
@@ -24,24 +25,21 @@ impl Builder {
                 stride: whole.shape.channels * whole.width(),
             }
         };
-        let steps = self.ops.iter().map(|(op, from, to)| Step {
-            op: op.clone(),
-            from: from.map(place),
-            to: place(*to),
-        });
+        let steps =
+            ops.into_iter().map(|(op, from, to)| Step { op, from: from.map(place), to: place(to) });
         let port = |&tensor: &Tensor| Port {
             place: place(tensor),
             shape: self.shape(tensor),
             quant: self.quant_params(tensor),
         };
-        Ok(Net::new(Arc::new(Program {
+        Ok(Plan::new(Program {
             isa: self.isa,
             steps: steps.collect(),
             inputs: self.inputs.iter().map(port).collect(),
             outputs: outputs.iter().map(port).collect(),
             activations: bytes,
             scratch: self.scratch,
-        })))
+        }))
     }
 
     /// The activation that `tensor` is a part of, and its first channel there.

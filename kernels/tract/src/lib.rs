@@ -8,6 +8,7 @@
 //! Owns how tract's operators are recognised and how values cross between both. Knows nothing
 //! of files.
 
+mod constant;
 mod graph;
 mod lower;
 mod op;
@@ -16,7 +17,7 @@ mod reshape;
 mod tail;
 mod transform;
 
-pub use graph::QuantisedConstants;
+pub use constant::keep_quantised;
 pub use op::{Input, Subnet, SubnetState};
 pub use reshape::{with_input_size, without_rounding};
 pub use tail::{Gate, Part};

@@ -45,12 +45,12 @@ impl Subnet {
 
     /// Whether it computes in bytes where it begins.
     pub fn is_quantised(&self) -> bool {
-        (0..self.lowered.net.inputs()).any(|i| self.lowered.net.input_fact(i).1.is_some())
+        self.lowered.plan.inputs().any(|(_, quant)| quant.is_some())
     }
 
     /// The instruction set that it was put together for.
     pub fn isa(&self) -> verge_kernels::Isa {
-        self.lowered.net.isa()
+        self.lowered.plan.isa()
     }
 
     /// What each column of the only output is made from, where that is rows of cells.
@@ -115,7 +115,7 @@ impl SubnetState {
     /// Memory of its own for `subnet`.
     pub fn new(subnet: &Subnet) -> Self {
         let lowered = subnet.lowered.clone();
-        Self { net: lowered.net.clone(), row: Vec::new(), lowered }
+        Self { net: lowered.plan.net(), row: Vec::new(), lowered }
     }
 
     /// The first input, to be filled in place before [`Self::run`]; tract's tensors are then
@@ -152,7 +152,26 @@ impl SubnetState {
         ControlFlow::Continue(())
     }
 
-    fn fill(&mut self, index: usize, entry: &Entry, tensor: &Tensor) -> TractResult<()> {
+    /// Takes what tract gives for each input.
+    ///
+    /// # Errors
+    /// Where they are of another kind than the model has.
+    pub fn fill(&mut self, inputs: &[TValue]) -> TractResult<()> {
+        let lowered = self.lowered.clone();
+        let entries = lowered.entries.iter().zip(inputs).enumerate();
+        entries.into_iter().try_for_each(|(index, (entry, input))| self.take(index, entry, input))
+    }
+
+    /// What was computed, as the model has it.
+    ///
+    /// # Errors
+    /// Where `subnet` is another one's.
+    pub fn outputs(&mut self, subnet: &Subnet) -> TractResult<TVec<TValue>> {
+        let facts = subnet.facts.iter().enumerate();
+        facts.map(|(index, fact)| Ok(self.output(index, fact)?.into_tvalue())).collect()
+    }
+
+    fn take(&mut self, index: usize, entry: &Entry, tensor: &Tensor) -> TractResult<()> {
         let (shape, quant) = self.net.input_fact(index);
         let view = tensor.try_as_plain_ram()?;
         match (entry.kind, quant) {
@@ -181,7 +200,7 @@ impl SubnetState {
     }
 
     fn output(&mut self, index: usize, fact: &TypedFact) -> TractResult<Tensor> {
-        let exit = &self.lowered.exits[index];
+        let exit = self.lowered.exits.get(index).context("an output that it does not have")?;
         let shape = fact.shape.as_concrete().context("an output of unknown size")?;
         let mut tensor = Tensor::zero_dt(fact.datum_type, shape)?;
         let mut view = tensor.try_as_plain_ram_mut()?;
@@ -240,13 +259,9 @@ impl OpState for SubnetState {
         inputs: TVec<TValue>,
     ) -> TractResult<TVec<TValue>> {
         let op = op.downcast_ref::<Subnet>().context("the state of another operator")?;
-        let lowered = self.lowered.clone();
-        for (index, (entry, input)) in lowered.entries.iter().zip(&inputs).enumerate() {
-            self.fill(index, entry, input)?;
-        }
-        self.net.run();
-        let facts = op.facts.iter().enumerate();
-        facts.map(|(index, fact)| Ok(self.output(index, fact)?.into_tvalue())).collect()
+        self.fill(&inputs)?;
+        self.run();
+        self.outputs(op)
     }
 
     /// Nothing is kept from turn to turn.
@@ -278,9 +293,17 @@ fn to_planes<'a, T: Copy + 'a, U>(
     each: impl Fn(T) -> U,
 ) {
     let count = shape.height * shape.width;
-    for (i, pixel) in pixels.enumerate() {
-        for (plane, &value) in planes.chunks_exact_mut(count).zip(pixel) {
-            plane[i] = each(value);
+    let mut pixels = pixels;
+    let mut block: [&[T]; BLOCK] = [&[]; BLOCK];
+    for first in (0..count).step_by(BLOCK) {
+        let here = BLOCK.min(count - first);
+        for (place, pixel) in block[..here].iter_mut().zip(&mut pixels) {
+            *place = pixel;
+        }
+        for (channel, plane) in planes.chunks_exact_mut(count).enumerate() {
+            for (to, pixel) in plane[first..][..here].iter_mut().zip(&block) {
+                *to = each(pixel[channel]);
+            }
         }
     }
 }

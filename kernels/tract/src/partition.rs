@@ -3,7 +3,7 @@
 //! Owns the colouring. All nodes that are recognised and of one colour become one operator;
 //! what is not recognised stays with tract, node by node, between them.
 
-use crate::graph::{QuantisedConstants, Refusal, View};
+use crate::graph::{Refusal, View};
 use crate::lower::{Lowered, Lowering};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use tract_core::internal::*;
@@ -63,12 +63,8 @@ fn colours(
 }
 
 /// Puts as much of `model` as is recognised onto the kernels of `isa`.
-pub(crate) fn partition(
-    model: &TypedModel,
-    quantised: &QuantisedConstants,
-    isa: Isa,
-) -> TractResult<Partition> {
-    let view = View { model, quantised };
+pub(crate) fn partition(model: &TypedModel, isa: Isa) -> TractResult<Partition> {
+    let view = View { model };
     let (order, computed) = computed(model)?;
     let mut refused: BTreeMap<usize, Refusal> = BTreeMap::new();
     loop {

@@ -1,6 +1,6 @@
 //! The same model in other forms: over another input size, or without rounding in between.
 
-use crate::graph::{QuantisedConstants, View};
+use crate::graph::View;
 use std::collections::HashMap;
 use tract_core::internal::*;
 use tract_core::model::translator::Translate;
@@ -53,8 +53,7 @@ impl Translate<TypedFact, Typed, TypedFact, Typed> for InputSize {
             }
         }
         if let Some(sizes) = node.op_as::<Resize>().and_then(|op| op.optional_sizes_input) {
-            let quantised = QuantisedConstants::default();
-            let view = View { model: source, quantised: &quantised };
+            let view = View { model: source };
             let from = view.shape(node.inputs[0]).context("a size that is not known")?;
             let to = view.shape(OutletId::new(node.id, 0)).context("a size that is not known")?;
             let here = target.outlet_fact(inputs[0])?.shape.clone();
@@ -103,8 +102,7 @@ impl Translate<TypedFact, Typed, TypedFact, Typed> for WithoutRounding {
         if node.op_is::<TypedSource>() {
             return Ok(tvec!(target.add_source(&node.name, node.outputs[0].fact.clone())?));
         }
-        let quantised = QuantisedConstants::default();
-        let view = View { model: source, quantised: &quantised };
+        let view = View { model: source };
         let rounds = view.quantise(node).is_some()
             || (view.dequantise(node).is_some() && view.konst(node.inputs[0]).is_none());
         if rounds {

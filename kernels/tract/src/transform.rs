@@ -1,6 +1,6 @@
 //! The transform that puts subgraphs of a typed model onto the kernels.
 
-use crate::graph::QuantisedConstants;
+use crate::constant::make_floats;
 use crate::op::Subnet;
 use crate::partition::{Partition, partition};
 use std::collections::HashMap;
@@ -10,17 +10,15 @@ use verge_kernels::Isa;
 
 /// Puts every recognised subgraph of a typed model into one operator each, a [`Subnet`]. To be
 /// used before decluttering, which folds quantisation into tables.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct KernelTransform {
     /// The instruction set of the kernels.
     pub isa: Isa,
-    /// Whole numbers of constants that the typed model holds as floats.
-    pub quantised: QuantisedConstants,
 }
 
 impl Default for KernelTransform {
     fn default() -> Self {
-        Self { isa: Isa::best(), quantised: QuantisedConstants::default() }
+        Self { isa: Isa::best() }
     }
 }
 
@@ -41,7 +39,7 @@ impl KernelTransform {
     /// # Errors
     /// tract's, where the model is not in order.
     pub fn apply(&self, model: &mut TypedModel) -> TractResult<Vec<LeftToTract>> {
-        let Partition { regions, refused } = partition(model, &self.quantised, self.isa)?;
+        let Partition { regions, refused } = partition(model, self.isa)?;
         let left = refused.into_iter().map(|(id, reason)| {
             let node = model.node(id);
             LeftToTract { node: node.name.clone(), operator: node.op.name().into_owned(), reason }
@@ -77,6 +75,7 @@ impl KernelTransform {
             moved.extend(outlets.into_iter().zip(places));
         }
         model.compact()?;
+        make_floats(model)?;
         Ok(left)
     }
 }

@@ -1,18 +1,19 @@
 //! A loaded net: tract's plan, with the kernels' operators in it.
 //!
-//! Owns input and output. Where the whole net is one operator of the kernels, its input is
-//! filled in place and its cells are read where they lie: nothing is copied or allocated for a
-//! frame.
+//! Owns input and output. Where an operator of the kernels alone reads the input, it is filled in
+//! place; where one gives the cells, they are read where they lie. Where that is one and the same,
+//! the whole net, nothing is copied or allocated for a frame.
 
 use super::head::Head;
 use super::letterbox::Into;
 use super::load::{Loaded, Refused, Wanted, load};
 use crate::daemon::frame::Detection;
+use crate::daemon::memory;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::{Duration, Instant};
-use tract_onnx::prelude::*;
+use tract_onnx::tract_core::internal::*;
 use tract_onnx::tract_core::plan;
 use verge_tract::{Gate, Input, LeftToTract, Subnet, SubnetState};
 
@@ -43,8 +44,7 @@ pub struct Share {
 #[derive(Debug)]
 pub(super) struct Engine {
     state: TypedSimpleState,
-    /// The node that is the whole net.
-    whole: Option<usize>,
+    ends: Ends,
     gate: Option<Gate>,
     shape: [usize; 4],
     /// The input in tract's order, where it is not filled in place.
@@ -56,12 +56,13 @@ pub(super) struct Engine {
 impl Engine {
     /// Loads `bytes`, the model file at `path`.
     pub(super) fn load(path: &Path, bytes: Vec<u8>, wanted: &Wanted) -> Result<Self, Refused> {
-        let Loaded { model, size: [width, height], left } = load(path, bytes, wanted)?;
-        let whole = whole(&model);
-        let planes = if whole.is_some() { Vec::new() } else { vec![0.0; 3 * height * width] };
-        let state = model.into_runnable()?.spawn()?;
+        let Loaded { model, size: [width, height], left } =
+            memory::loading(|| load(path, bytes, wanted))?;
         let shape = [1, 3, height, width];
-        Ok(Self { state, whole, gate: None, shape, planes, outputs: tvec!(), left })
+        let ends = Ends::of(&model, &shape)?;
+        let planes = if ends.first.is_some() { Vec::new() } else { vec![0.0; 3 * height * width] };
+        let state = model.into_runnable()?.spawn()?;
+        Ok(Self { state, ends, gate: None, shape, planes, outputs: tvec!(), left })
     }
 
     /// Columns and rows of its input.
@@ -79,13 +80,13 @@ impl Engine {
     /// From here on, only cells are looked at in which a score of `head` may reach its
     /// threshold.
     pub(super) fn look_for(&mut self, head: &Head) {
-        let subnet = self.whole.and_then(|id| self.state.model().node(id).op_as::<Subnet>());
+        let subnet = self.ends.last.and_then(|id| self.state.model().node(id).op_as::<Subnet>());
         let parts = subnet.and_then(Subnet::parts).unwrap_or_default();
         self.gate = Some(Gate::new(parts, &head.gate(), head.threshold()));
     }
 
-    fn subnet(&mut self) -> Option<&mut SubnetState> {
-        self.state.op_states[self.whole?].as_mut()?.downcast_mut()
+    fn subnet(&mut self, node: Option<usize>) -> Option<&mut SubnetState> {
+        self.state.op_states[node?].as_mut()?.downcast_mut()
     }
 
     /// In words: what computes, and of what is left to tract the first.
@@ -118,47 +119,51 @@ impl Engine {
 
     /// Where the next picture goes.
     pub(super) fn input(&mut self) -> Into<'_> {
-        if self.whole.is_none() {
+        if self.ends.first.is_none() {
             return Into::Planes(&mut self.planes);
         }
-        match self.subnet().map(SubnetState::input) {
+        match self.subnet(self.ends.first).map(SubnetState::input) {
             Some(Input::Bytes(bytes, quant)) => Into::Quantised(bytes, quant),
             Some(Input::Floats(floats)) => Into::Pixels(floats),
             None => Into::Planes(&mut []),
         }
     }
 
-    fn tensor(&self) -> Result<TVec<TValue>, String> {
-        let tensor = Tensor::from_shape(&self.shape, &self.planes);
-        Ok(tvec!(tensor.map_err(|error| format!("{error:#}"))?.into()))
+    /// Goes through the plan, and tells `took` the time of each node.
+    fn go(&mut self, mut took: impl FnMut(usize, Duration)) -> TractResult<()> {
+        let input = match &self.ends.unread {
+            Some(unread) if self.ends.first.is_some() => unread.clone().into_tvalue(),
+            _ => Tensor::from_shape(&self.shape, &self.planes)?.into_tvalue(),
+        };
+        let ends = &self.ends;
+        self.outputs =
+            self.state.run_plan_with_eval(tvec!(input), |context, state, node, inputs| {
+                let begun = Instant::now();
+                let made = ends.eval(context, state, node, inputs);
+                took(node.id, begun.elapsed());
+                made
+            })?;
+        Ok(())
     }
 
     /// Computes.
     pub(super) fn run(&mut self) -> Result<(), String> {
-        if let Some(subnet) = self.subnet() {
+        if let Some(subnet) = self.subnet(self.ends.whole()) {
             subnet.run();
             return Ok(());
         }
-        let input = self.tensor()?;
-        self.outputs = self.state.run(input).map_err(|error| format!("{error:#}"))?;
-        Ok(())
+        self.go(|_, _| {}).map_err(|error| format!("{error:#}"))
     }
 
     /// Computes `turns` times, and says what took which share of the time.
     pub(super) fn shares(&mut self, turns: usize) -> Result<Vec<Share>, String> {
-        if self.whole.is_some() {
+        if self.ends.whole().is_some() {
             let by = self.describe();
             return Ok(vec![Share { by, nodes: 1, of_time: 1.0 }]);
         }
         let mut times: BTreeMap<usize, Duration> = BTreeMap::new();
         for _ in 0..turns.max(1) {
-            let input = self.tensor()?;
-            let done = self.state.run_plan_with_eval(input, |context, state, node, inputs| {
-                let begun = Instant::now();
-                let made = plan::eval(context, state, node, inputs);
-                *times.entry(node.id).or_default() += begun.elapsed();
-                made
-            });
+            let done = self.go(|node, time| *times.entry(node).or_default() += time);
             done.map_err(|error| format!("{error:#}"))?;
         }
         let mut shares: BTreeMap<String, (usize, Duration)> = BTreeMap::new();
@@ -190,7 +195,7 @@ impl Engine {
         head: &Head,
         candidates: &mut Vec<Detection>,
     ) -> Result<(), String> {
-        if let (Some(id), Some(gate)) = (self.whole, &self.gate) {
+        if let (Some(id), Some(gate)) = (self.ends.last, &self.gate) {
             let state = self.state.op_states[id].as_mut();
             let subnet = state.and_then(|state| state.downcast_mut::<SubnetState>());
             let subnet = subnet.ok_or("the net has lost its memory")?;
@@ -217,10 +222,69 @@ impl Engine {
     }
 }
 
-/// The node that is the whole of `model`, if there is one and it gives rows of cells.
-fn whole(model: &TypedModel) -> Option<usize> {
-    let ([input], [output]) = (&model.inputs[..], &model.outputs[..]) else { return None };
-    let node = model.node(output.node);
-    node.op_as::<Subnet>()?.parts()?;
-    (node.inputs[..] == [*input]).then_some(node.id)
+/// Where the kernels begin and end a net.
+#[derive(Debug)]
+struct Ends {
+    /// The node of theirs that alone reads the input, and nothing else: it is filled in place.
+    first: Option<usize>,
+    /// The node of theirs that gives the only output, rows of cells: they are read in place.
+    last: Option<usize>,
+    /// What tract is given in place of the input where that is filled in place and other nodes
+    /// follow. Nobody reads it.
+    unread: Option<Arc<Tensor>>,
+}
+
+impl Ends {
+    fn of(model: &TypedModel, shape: &[usize]) -> TractResult<Self> {
+        let [input] = model.inputs[..] else { bail!("{} inputs", model.inputs.len()) };
+        let first = match model.outlet_successors(input) {
+            [reader] if !model.outputs.contains(&input) => {
+                let node = model.node(reader.node);
+                let alone = node.op_is::<Subnet>() && node.inputs[..] == [input];
+                alone.then_some(node.id)
+            }
+            _ => None,
+        };
+        let last = match model.outputs[..] {
+            [output] if model.outlet_successors(output).is_empty() => {
+                let node = model.node(output.node);
+                let rows = node.op_as::<Subnet>().and_then(Subnet::parts);
+                rows.is_some().then_some(node.id)
+            }
+            _ => None,
+        };
+        let mut ends = Self { first, last, unread: None };
+        if first.is_some() && ends.whole().is_none() {
+            let kind = model.outlet_fact(input)?.datum_type;
+            ends.unread = Some(Tensor::zero_dt(kind, shape)?.into_arc_tensor());
+        }
+        Ok(ends)
+    }
+
+    /// The node that is the whole net.
+    fn whole(&self) -> Option<usize> {
+        self.first.filter(|_| self.first == self.last)
+    }
+
+    /// Evaluates a node of the plan, without the input and the output that are not tract's.
+    fn eval(
+        &self,
+        context: &EvalContext,
+        mut state: Option<&mut (dyn OpState + 'static)>,
+        node: &TypedNode,
+        inputs: TVec<TValue>,
+    ) -> TractResult<TVec<TValue>> {
+        let id = Some(node.id);
+        let end = id == self.first || id == self.last;
+        let subnet = state.as_deref_mut().filter(|_| end).and_then(|s| s.downcast_mut());
+        let (Some(subnet), Some(op)) = (subnet, node.op_as::<Subnet>()) else {
+            return plan::eval(context, state, node, inputs);
+        };
+        let subnet: &mut SubnetState = subnet;
+        if id != self.first {
+            subnet.fill(&inputs)?;
+        }
+        subnet.run();
+        if id == self.last { Ok(tvec!(tensor0(0f32).into_tvalue())) } else { subnet.outputs(op) }
+    }
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 use tract_onnx::tract_core::transform::{NodeFilter, build_float_translator};
 use tract_onnx::tract_hir::internal::*;
 use verge_tract::{
-    Isa, KernelTransform, LeftToTract, QuantisedConstants, with_input_size, without_rounding,
+    Isa, KernelTransform, LeftToTract, keep_quantised, with_input_size, without_rounding,
 };
 
 /// Columns and rows of an input that neither the file nor anyone else fixes.
@@ -109,7 +109,7 @@ fn read(path: &Path, bytes: Vec<u8>, wanted: &Wanted) -> Result<Loaded, Refused>
         return Err(Refused::Input(dims.iter().map(|dim| dim.unwrap_or(0)).collect()));
     }
     model.set_input_fact(0, InferenceFact::dt_shape(kind, &fixed[..]))?;
-    let quantised = QuantisedConstants::of(&model);
+    keep_quantised(&mut model);
     let mut model = model.into_typed()?;
     for node in model.nodes() {
         let shapes = node.outputs.iter().map(|outlet| &outlet.fact.shape);
@@ -137,7 +137,7 @@ fn read(path: &Path, bytes: Vec<u8>, wanted: &Wanted) -> Result<Loaded, Refused>
         Precision::Portable => Isa::Portable,
         Precision::AsStored | Precision::Float => Isa::best(),
     };
-    let left = KernelTransform { isa, quantised }.apply(&mut model)?;
+    let left = KernelTransform { isa }.apply(&mut model)?;
     Ok(Loaded { model: model.into_optimized()?, size: asked, left })
 }
 

@@ -1,7 +1,8 @@
 //! Convolutions, with the rounding and the activation function behind them, and pooling.
 
 use super::{Lowering, Value};
-use crate::graph::{Constant, Refusal};
+use crate::constant::Constant;
+use crate::graph::Refusal;
 use tract_core::internal::*;
 use tract_core::ops::cnn::{Conv, KernelFormat, MaxPool, PoolSpec};
 use tract_core::ops::element_wise::ElementWiseOp;
@@ -90,7 +91,7 @@ impl<'a> Lowering<'a> {
                 let values = weights.bytes().ok_or("weights in floats for an input of bytes")?;
                 let scales = weights.scales(channels).ok_or("scales of other channels")?;
                 let bias = whole_bias(&bias, channels, quant.scale, &scales)?;
-                let weights = Weights::Int8 { values: &values, scales: &scales, bias: &bias };
+                let weights = Weights::Int8 { values, scales: &scales, bias: &bias };
                 self.builder.conv(input, &conv(weights))
             }
             None => {

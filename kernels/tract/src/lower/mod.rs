@@ -19,7 +19,7 @@ use tract_core::ops::math::{Add, Exp, Mul, Sub};
 use tract_core::ops::nn::{Reduce, Sigmoid};
 use tract_core::ops::quant::DequantizeLinearF32;
 use tract_onnx_opl::resize::Resize;
-use verge_kernels::{Builder, Isa, Net, QuantParams, Shape, Tensor as Activation};
+use verge_kernels::{Builder, Isa, Plan, QuantParams, Shape, Tensor as Activation};
 
 /// Cells of several activations, one behind the other, with what happens to their columns.
 #[derive(Clone, Debug)]
@@ -70,7 +70,7 @@ pub(crate) enum Form {
 /// A region on the kernels.
 #[derive(Debug)]
 pub(crate) struct Lowered {
-    pub(crate) net: Net,
+    pub(crate) plan: Plan,
     pub(crate) entries: Vec<Entry>,
     pub(crate) exits: Vec<Exit>,
 }
@@ -314,7 +314,7 @@ impl<'a> Lowering<'a> {
             let levels = levels.iter().map(&mut index).collect();
             exits.push(Exit { outlet, levels, form });
         }
-        let net = self.builder.finish(&given).map_err(|error| error.to_string())?;
-        Ok(Lowered { net, entries: self.entries, exits })
+        let plan = self.builder.finish(&given).map_err(|error| error.to_string())?;
+        Ok(Lowered { plan, entries: self.entries, exits })
     }
 }

@@ -128,16 +128,27 @@ fn what_is_not_there_is_said() {
     assert_eq!(report(&[]).0, 66);
     day("north", MONDAY, &archive);
     for (more, code, said) in [
-        (["--site", "west"], 65, "--site, --from and --to"),
+        (["--site", "west"], 65, "has no site \"west\"; it has 1: north"),
+        (["--threads", "0"], 64, "0 is not in 1..=256"),
         (["--from", "2027-01-01"], 65, "--site, --from and --to"),
         (["--window", "900"], 65, "no window of that length"),
         (["--from", "yesterday"], 64, "give a day"),
+        (["--to", "2026-01-04"], 65, "--site, --from and --to"),
         (["--utc-offset", "8"], 64, "+HH:MM"),
     ] {
         let (found, error) = report(&more);
         assert_eq!(found, code, "{error}");
         assert!(error.contains(said), "{error}");
     }
+    // One of two sites is there: a report of that alone would be of less than was asked for.
+    let (code, error) = report(&["--site", "north", "--site", "nroth"]);
+    assert!(code == 65 && error.contains("has no site \"nroth\""), "{error}");
+    let (code, error) = report(&["--from", "2026-01-06", "--to", "2026-01-05"]);
+    assert!(code == 64 && error.contains("--from is after --to"), "{error}");
+    let empty = folder.path().join("empty");
+    std::fs::create_dir(&empty).expect("a folder");
+    let (code, error) = failure(&["report", "--archive", text(&empty), "--out", text(&out)]);
+    assert!(code == 65 && error.contains("has no site yet"), "{error}");
     let path = Partition { site: "north".into(), day: MONDAY }.path(&archive);
     std::fs::write(&path, "PAR1").expect("writing a file");
     let (code, error) = report(&[]);

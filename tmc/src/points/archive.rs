@@ -9,6 +9,7 @@
 
 use super::Readings;
 use crate::csv::Table;
+use crate::report::not_there;
 use crate::store::{self, Row, Rows};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -65,6 +66,9 @@ impl Passing {
 /// [`Failure`]: no such site, a detector's table that cannot be read.
 pub(super) fn read(question: &Question<'_>) -> Result<Readings, Failure> {
     let Question { archive, site, detector, .. } = *question;
+    if !store::sites(archive)?.iter().any(|known| known == site) {
+        return Err(not_there(archive, site));
+    }
     let lanes = lanes(question)?;
     let length_s = lanes.first().map_or(60, |row| row.window_s);
     let mut readings = Readings::default();

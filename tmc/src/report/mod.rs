@@ -59,8 +59,8 @@ pub struct Arguments {
     #[arg(long, value_name = "+HH:MM", default_value = "+00:00", allow_hyphen_values = true)]
     utc_offset: String,
     /// Sites read at the same time; without it as many as there are processors.
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
     /// Source of the map's tiles, https://HOST/{z}/{x}/{y}.png: whoever looks at the page asks it;
     /// without one the map is plain and nothing is fetched.
     #[arg(long, value_name = "URL", requires = "tiles_by")]
@@ -84,11 +84,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let places = arguments.sites.as_deref().map_or_else(|| Ok(Places::new()), places::read)?;
     let offset_ms = offset_ms(&arguments.utc_offset)?;
     let tiles = Tiles::of(arguments.tiles.as_deref(), arguments.tiles_by.as_deref())?;
-    let threads = arguments
-        .threads
-        .or_else(|| std::thread::available_parallelism().ok().map(Into::into))
-        .unwrap_or(1)
-        .max(1);
+    let threads = threads(arguments.threads);
     let options = Options {
         only: arguments.site.clone(),
         made_ms: now_ms()?,
@@ -134,6 +130,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             Err(Desk::content(&arguments.archive, 0, reason).into())
         }
     }
+}
+
+/// How many work at a time: as asked, or one for each processor.
+pub(crate) fn threads(asked: Option<u16>) -> usize {
+    let processors = || std::thread::available_parallelism().map_or(1, Into::into);
+    asked.map_or_else(processors, usize::from)
 }
 
 /// What came of all sites.
@@ -315,8 +317,23 @@ fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
     // Boxes whose clock was wrong have days that are to come.
     let tomorrow = jiff::Timestamp::now().as_millisecond() / DAY_MS + 1;
     let last = day(arguments.to.as_ref(), "to")?.unwrap_or(tomorrow);
+    if arguments.from.is_some() && arguments.to.is_some() && first > last {
+        return Err(Failure::usage("--from is after --to: give the earlier day as --from"));
+    }
+    let archive = &arguments.archive;
     let mut sites: Vec<Site> = Vec::new();
-    for partition in store::partitions(&arguments.archive)? {
+    let partitions = store::partitions(archive)?;
+    if partitions.is_empty() {
+        let reason = "has no site yet: is it the folder of `verge-tmc archive --out`?";
+        return Err(Desk::content(archive, 0, reason).into());
+    }
+    for name in &arguments.site {
+        // They are sorted by site.
+        if partitions.binary_search_by(|it| it.site.cmp(name)).is_err() {
+            return Err(not_there(archive, name).into());
+        }
+    }
+    for partition in partitions {
         let named = arguments.site.is_empty() || arguments.site.contains(&partition.site);
         if !named || !(first..=last).contains(&partition.day) {
             continue;
@@ -328,9 +345,19 @@ fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
     }
     if sites.is_empty() {
         let reason = "has no day that was asked for; look at --site, --from and --to";
-        return Err(Desk::content(Path::new(&arguments.archive), 0, reason).into());
+        return Err(Desk::content(archive, 0, reason).into());
     }
     Ok(sites)
+}
+
+/// What is wrong with a site's name that an archive does not have.
+pub(crate) fn not_there(archive: &Path, site: &str) -> Desk {
+    let sites = store::sites(archive).unwrap_or_default();
+    let some: Vec<_> = sites.iter().take(3).map(String::as_str).collect();
+    let more = if sites.len() > some.len() { ", ..." } else { "" };
+    let (count, some) = (sites.len(), some.join(", "));
+    let reason = format!("has no site {site:?}; it has {count}: {some}{more}");
+    Desk::content(archive, 0, reason)
 }
 
 pub(crate) fn offset_ms(text: &str) -> Result<i64, Desk> {

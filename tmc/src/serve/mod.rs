@@ -12,7 +12,7 @@ use crate::html;
 use crate::morning::map::Tiles;
 use crate::morning::places::{self, Places};
 use crate::morning::{Morning, Options};
-use crate::report::{now_ms, offset_ms};
+use crate::report::{now_ms, offset_ms, threads};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -50,8 +50,8 @@ pub struct Arguments {
     #[arg(long, value_name = "TEXT")]
     tiles_by: Option<String>,
     /// Files read at the same time; without it as many as there are processors.
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
 }
 
 /// Runs `serve` until SIGTERM or SIGINT.
@@ -94,13 +94,12 @@ struct Centre {
 impl Centre {
     fn of(arguments: &Arguments) -> Result<Self, Failure> {
         let places = arguments.sites.as_deref().map_or_else(|| Ok(Places::new()), places::read)?;
-        let processors = || std::thread::available_parallelism().map_or(1, Into::into);
         Ok(Self {
             archive: arguments.archive.clone(),
             places,
             tiles: Tiles::of(arguments.tiles.as_deref(), arguments.tiles_by.as_deref())?,
             offset_ms: offset_ms(&arguments.utc_offset)?,
-            threads: arguments.threads.unwrap_or_else(processors).max(1),
+            threads: threads(arguments.threads),
             latest: Mutex::new(None),
         })
     }

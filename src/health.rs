@@ -6,10 +6,11 @@
 
 use crate::alarm::Alarm;
 use crate::density::SampleZoneStatus;
+use crate::refresh::Refresh;
 use core::time::Duration;
 
 /// A frozen picture is noticed after this time, or after [`PERIODS`] of the camera where
-/// those are longer.
+/// those are longer: a camera that has a new picture less often than it is asked is slow, not frozen.
 pub const NOTICE: Duration = Duration::from_secs(20);
 /// The same for a missing picture: half as long, since the line may wait another ten
 /// seconds for the next picture before it can report so. It is reported within twenty.
@@ -58,7 +59,9 @@ pub struct Actions {
 /// The state of the camera as far as its pictures show it.
 #[derive(Clone, Debug)]
 pub struct Health {
-    limit: Duration,
+    /// Time between two requests.
+    interval: Duration,
+    refresh: Refresh,
     missing_limit: Duration,
     last_new: Duration,
     last_any: Duration,
@@ -74,7 +77,8 @@ impl Health {
     pub fn new(interval: Duration, now: Duration) -> Self {
         let limit = interval.saturating_mul(PERIODS).max(NOTICE);
         Self {
-            limit,
+            interval,
+            refresh: Refresh::default(),
             missing_limit: interval.saturating_mul(PERIODS).max(NOTICE_MISSING),
             last_new: now,
             last_any: now,
@@ -87,18 +91,37 @@ impl Health {
 
     /// Says what follows at `now` when nothing has happened since the last call.
     pub fn idle(&mut self, now: Duration) -> Actions {
-        self.on(Event::Missing, now)
+        self.judge(now)
     }
 
     /// Says what follows at `now` when no picture is asked for, on purpose: the camera is
     /// neither missing nor frozen.
     pub fn hold(&mut self, now: Duration) -> Actions {
         (self.last_new, self.last_any) = (now, now);
-        self.on(Event::Missing, now)
+        self.refresh.note_gap();
+        self.judge(now)
+    }
+
+    /// Time between two new pictures, where the camera has them less often than it is asked.
+    pub fn period(&self) -> Option<Duration> {
+        self.refresh.period(self.interval)
+    }
+
+    /// How long a picture may stand still.
+    fn limit(&self) -> Duration {
+        let period = self.refresh.gap(self.interval).unwrap_or_default().max(self.interval);
+        period.saturating_mul(PERIODS).max(NOTICE)
     }
 
     /// Takes what happened at `now` and returns what follows.
     pub fn on(&mut self, event: Event, now: Duration) -> Actions {
+        match event {
+            Event::Unchanged => self.refresh.note(false, now),
+            Event::Damaged | Event::Missing => self.refresh.note_gap(),
+            Event::Measured | Event::PassedOver | Event::Withheld(_) => {
+                self.refresh.note(true, now);
+            }
+        }
         match event {
             Event::Measured => {
                 (self.last_new, self.last_any) = (now, now);
@@ -113,20 +136,30 @@ impl Health {
             Event::Unchanged | Event::Damaged => self.last_any = now,
             Event::Missing => {}
         }
+        self.judge(now)
+    }
+
+    fn judge(&mut self, now: Duration) -> Actions {
+        let limit = self.limit();
         let alarm = if now.saturating_sub(self.last_any) > self.missing_limit {
             Some(Alarm::NoPicture)
-        } else if now.saturating_sub(self.last_new) > self.limit {
+        } else if now.saturating_sub(self.last_new) > limit {
             Some(Alarm::FrozenPicture)
         } else {
             // A moved camera is reported only after several pictures agree on it.
             let lasting = |&(alarm, since): &(Alarm, Duration)| {
-                alarm == Alarm::CameraMoved || now.saturating_sub(since) > self.limit
+                alarm == Alarm::CameraMoved || now.saturating_sub(since) > limit
             };
             self.withheld.filter(lasting).map(|(alarm, _)| alarm)
         };
-        let status = alarm.map_or(SampleZoneStatus::Ok, Alarm::status);
+        // Of a slow camera windows have too few pictures, and no density.
+        let status = match alarm {
+            Some(alarm) => alarm.status(),
+            None if self.period().is_some() => SampleZoneStatus::InputDataIntegrity,
+            None => SampleZoneStatus::Ok,
+        };
         let camera_power_on = self.power(alarm, now);
-        let led_on = alarm.is_none() || now.subsec_millis() < 500;
+        let led_on = status == SampleZoneStatus::Ok || now.subsec_millis() < 500;
         Actions { status, alarm, led_on, camera_power_on }
     }
 
@@ -140,7 +173,7 @@ impl Health {
         if alarm.is_none_or(|alarm| !alarm.is_of_camera()) {
             self.cycle_wait = POWER_CYCLE_FIRST;
             self.next_cycle =
-                self.last_new.saturating_add(self.limit).saturating_add(self.cycle_wait);
+                self.last_new.saturating_add(self.limit()).saturating_add(self.cycle_wait);
         } else if now >= self.next_cycle {
             self.power_back = Some(now.saturating_add(POWER_OFF));
             self.cycle_wait = self.cycle_wait.saturating_mul(2).min(POWER_CYCLE_MAX);
@@ -187,6 +220,30 @@ mod tests {
         let noticed = health.on(Event::Unchanged, after(21));
         assert_eq!(noticed.alarm, Some(Alarm::FrozenPicture));
         assert_eq!(noticed.status, SampleZoneStatus::InputDataIntegrity);
+    }
+
+    #[test]
+    fn a_camera_with_a_new_picture_each_30_s_is_slow_and_not_frozen() {
+        let mut health = Health::new(after(5), after(0));
+        for second in 0..3600 {
+            let is_asked = second % 5 == 0;
+            let actions = match second % 30 {
+                0 => health.on(Event::Measured, after(second)),
+                _ if is_asked => health.on(Event::Unchanged, after(second)),
+                _ => health.idle(after(second)),
+            };
+            // Until its first new picture it cannot be known.
+            let is_unknown = (21..30).contains(&second);
+            assert_eq!(actions.alarm.is_some(), is_unknown, "{second} s");
+            let is_slow = second >= 60;
+            assert_eq!(health.period(), is_slow.then_some(after(30)), "{second} s");
+            let usable = actions.status == SampleZoneStatus::Ok;
+            assert_eq!(usable, !is_unknown && !is_slow, "{second} s");
+        }
+        // It stands still for three of its periods.
+        assert_eq!(health.on(Event::Unchanged, after(3570 + 90)).alarm, None);
+        let noticed = health.on(Event::Unchanged, after(3570 + 91));
+        assert_eq!(noticed.alarm, Some(Alarm::FrozenPicture));
     }
 
     #[test]

@@ -22,6 +22,7 @@ pub mod lane;
 pub mod messages;
 pub mod node;
 pub mod picture;
+pub mod refresh;
 mod report;
 pub mod scene;
 pub mod sensor;

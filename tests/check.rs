@@ -256,6 +256,65 @@ fn try_case(case: &Case) {
     assert_eq!(densities(&broker), 0, "{name}: {:?}", broker.seen(|seen| seen.came.clone()));
 }
 
+/// A spool that cannot be written is named with its reason and what to do, when `run` starts.
+#[test]
+fn run_says_why_the_spool_takes_nothing_and_what_to_do() {
+    use std::io::{BufRead, BufReader};
+    let folder = common::folder();
+    std::fs::write(folder.path().join("way"), "in the way").expect("written");
+    let more = "[spool]\nfolder = \"way/spool\"\n";
+    let file = configuration(folder.path(), 1, more);
+    let mut running = std::process::Command::new(env!("CARGO_BIN_EXE_verge"))
+        .args(["run", "--config", &file])
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let log = BufReader::new(running.stderr.take().expect("piped"));
+    let said = log.lines().map_while(Result::ok).find(|line| line.contains("ERROR"));
+    running.kill().and_then(|()| running.wait()).expect("ours");
+    let said = said.expect("an error");
+    for words in
+        ["way/spool", "a file is in its way", "name another place", "lost at the next restart"]
+    {
+        assert!(said.contains(words), "{words} in {said}");
+    }
+    assert!(!said.contains("os error"), "{said}");
+}
+
+/// A camera with a new picture each 20 s that is asked each second: not frozen, but slow, with what to
+/// set; also where the picture is packed anew each time.
+#[test]
+fn a_slow_camera_is_told_with_its_period() {
+    use std::io::{Read, Write};
+    let pictures = street_pictures();
+    let begun = std::time::Instant::now();
+    let listener = std::net::TcpListener::bind((std::net::Ipv4Addr::LOCALHOST, 0)).expect("a port");
+    let port = listener.local_addr().expect("bound").port();
+    std::thread::spawn(move || {
+        for (number, mut stream) in listener.incoming().map_while(Result::ok).enumerate() {
+            let _ = stream.read(&mut [0; 4096]);
+            let picture = &pictures[(begun.elapsed().as_secs() / 20) as usize % pictures.len()];
+            // A comment of its own: other bytes, the same picture.
+            let comment = format!("\u{2}{:04}", number % 10_000);
+            let own =
+                [&picture[..2], b"\xff\xfe\0\x07", comment.as_bytes(), &picture[2..]].concat();
+            let _ = stream.write_all(&http("200 OK", "image/jpeg", &own));
+        }
+    });
+    let (broker, folder) = (FakeBroker::start(Manners::default()), common::folder());
+    let file = configuration(folder.path(), broker.port, "");
+    let text = std::fs::read_to_string(&file).expect("just written");
+    let lines = text.lines().filter(|line| !line.starts_with("watch")).map(|line| {
+        let there = format!("source = \"http://127.0.0.1:{port}/\"");
+        if line.starts_with("source") { there } else { line.to_owned() }
+    });
+    std::fs::write(&file, lines.collect::<Vec<_>>().join("\n")).expect("written");
+    let (_, said) = check(&file);
+    let failed = said.lines().find(|line| line.starts_with("FAIL  measurement:"));
+    let period = failed.is_some_and(|line| line.contains("set camera.interval_s = 20"));
+    assert!(period && !said.contains("frozen"), "{said}");
+}
+
 #[test]
 fn who_turns_the_camera_is_told_how_far_and_which_way() {
     let (folder, pictures) = (common::folder(), street_pictures());

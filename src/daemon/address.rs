@@ -195,7 +195,13 @@ impl fmt::Display for Address {
             Some((path, _)) => (path, "?..."),
             None => (self.target.as_str(), ""),
         };
-        write!(f, "{}{}{}{query}", self.scheme(), self.host_port(), shown(path))
+        let there = self.host_port();
+        // A request names no zone; for people it tells one interface from another.
+        let there = match self.host.split_once('%') {
+            Some((_, zone)) => there.replace(']', &format!("%{zone}]")),
+            None => there,
+        };
+        write!(f, "{}{there}{}{query}", self.scheme(), shown(path))
     }
 }
 
@@ -252,11 +258,14 @@ fn read_login(text: &str) -> Result<(String, String), AddressError> {
 fn read_host(text: &str) -> Result<(String, Option<u16>), AddressError> {
     let (host, port) = if let Some(rest) = text.strip_prefix('[') {
         let (host, rest) = rest.split_once(']').ok_or(AddressError::Brackets)?;
-        let host = decode(host)?;
-        let address = host.split('%').next().unwrap_or_default();
-        if address.parse::<std::net::Ipv6Addr>().is_err() {
-            return Err(AddressError::Host(shown(&host)));
+        // A zone (RFC 6874), with its percent sign encoded or not.
+        let (address, zone) = host.split_once('%').unwrap_or((host, ""));
+        let zone = zone.strip_prefix("25").filter(|zone| !zone.is_empty()).unwrap_or(zone);
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
+        if address.parse::<std::net::Ipv6Addr>().is_err() || !zone.chars().all(is_plain) {
+            return Err(AddressError::Host(shown(host)));
         }
+        let host = if zone.is_empty() { address.to_owned() } else { format!("{address}%{zone}") };
         (host, rest)
     } else {
         let end = text.find(':').unwrap_or(text.len());
@@ -326,6 +335,8 @@ mod tests {
             ("mjpeg+https://[::1]:444/v", "mjpeg+https://[::1]:444/v", "/v"),
             ("RTSP://u:p@camera:554/s?pwd=x", "rtsp://camera/s?...", "/s?pwd=x"),
             ("http://camera/ü#part", "http://camera/%C3%BC", "/%C3%BC"),
+            ("http://[fe80::1%25eth0]:81/x", "http://[fe80::1%eth0]:81/x", "/x"),
+            ("http://[fe80::1%eth0]/x", "http://[fe80::1%eth0]/x", "/x"),
         ] {
             let address = Address::parse(text).expect(text);
             assert_eq!((address.to_string().as_str(), address.target.as_str()), (shown, target));

@@ -7,6 +7,7 @@ use super::audit::{AnswersError, FitError, SiteError};
 use super::capture::{CaptureError, DeviceError, RecordingError, SourceError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
+use super::disk;
 use super::locate::LocateError;
 use super::output::WriteError;
 use super::publish::TlsError;
@@ -100,26 +101,16 @@ pub enum Failure {
         /// The first fault.
         first: String,
     },
-    /// An output file.
-    #[error("cannot write {}: {source}", path.display())]
+    /// An output file, or a place that the daemon must write to.
+    #[error("cannot write {}: {}", path.display(), disk::unwritten(source))]
     Write {
         /// The file.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,
     },
-    /// A place that the daemon must write to.
-    #[error("cannot write {}: {source}; {remedy}", path.display())]
-    Unwritable {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-        /// What to do.
-        remedy: &'static str,
-    },
     /// An input file that cannot be read.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {}", path.display(), disk::unread(source))]
     Input {
         /// The file.
         path: PathBuf,
@@ -241,7 +232,7 @@ impl Exit for Failure {
             Self::Messages { .. } | Self::NodeSettings { .. } => DATAERR,
             Self::InputForm { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
-            Self::Write { .. } | Self::Unwritable { .. } | Self::Spool(_) => CANTCREAT,
+            Self::Write { .. } | Self::Spool(_) => CANTCREAT,
             Self::Checks { code, .. } => *code,
             Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
         }

@@ -15,15 +15,28 @@ pub fn shown(text: &str) -> String {
             out.push('…');
             break;
         }
-        // Marks that turn the direction of text can make a line read as another.
-        let steers = matches!(character, '\u{200e}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-        if character.is_control() || steers {
+        if steers(character) {
             out.extend(character.escape_default());
         } else {
             out.push(character);
         }
     }
     out
+}
+
+/// Whether a text has nothing in it that [`shown`] would write out.
+pub fn is_plain(text: &str) -> bool {
+    !text.chars().any(steers)
+}
+
+/// Controls, marks that turn the direction of text and so can make a line read as another, and
+/// characters without width.
+fn steers(character: char) -> bool {
+    character.is_control()
+        || matches!(
+            character,
+            '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}'
+        )
 }
 
 /// Bytes as text that may be shown; what is no UTF-8 is replaced.
@@ -41,6 +54,7 @@ mod tests {
     fn foreign_text_is_short_and_steers_nothing() {
         assert_eq!(shown("Kamera Süd"), "Kamera Süd");
         assert_eq!(shown("a\u{1b}[2J\r\nb\u{202e}c"), "a\\u{1b}[2J\\r\\nb\\u{202e}c");
+        assert!(is_plain("道路 Süd") && !is_plain("a\u{202e}b") && !is_plain("a\u{200b}b"));
         assert_eq!(shown(&"x".repeat(70_000)).chars().count(), MOST + 1);
         assert_eq!(shown_bytes(&vec![0xff; 1 << 20]).chars().count(), MOST + 1);
     }

@@ -3,6 +3,7 @@
 //! Owns which point of a box stands for the vehicle, and the lane table's file. Does not
 //! count.
 
+use super::disk;
 use super::frame::{Detection, PixelBox, Shape};
 use super::plain;
 use crate::hidden::Seen;
@@ -54,7 +55,7 @@ pub struct Located {
 #[derive(Debug, thiserror::Error)]
 pub enum LocateError {
     /// It cannot be read.
-    #[error("lane table {}: {source}", path.display())]
+    #[error("lane table {}: {}", path.display(), disk::unread(source))]
     Read {
         /// The file.
         path: PathBuf,

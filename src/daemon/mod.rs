@@ -23,6 +23,7 @@ mod commands;
 pub mod config;
 pub mod detect;
 pub mod dial;
+mod disk;
 pub mod exit;
 pub mod foreign;
 pub mod frame;

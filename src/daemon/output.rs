@@ -4,13 +4,14 @@
 //! few seconds for years, and power cuts would leave one such file each on the box's flash. Here
 //! the next one takes the place of what a power cut left.
 
+use super::disk;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// A file that could not be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write {}: {source}", path.display())]
+#[error("cannot write {}: {}", path.display(), disk::unwritten(source))]
 pub struct WriteError {
     /// The file.
     pub path: PathBuf,

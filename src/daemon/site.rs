@@ -2,6 +2,7 @@
 //!
 //! Owns its keys and their values; what a place may hold is `verge_messages`' to say.
 
+use super::foreign::shown;
 use crate::lane::MAX_NAME;
 use serde::Deserialize;
 use serde::de::value::MapAccessDeserializer;
@@ -84,7 +85,8 @@ impl Site {
     pub(super) fn check(&self) -> Result<(), (&'static str, String)> {
         let id = &self.id;
         if id.is_empty() || id.len() > MAX_NAME || id.contains(['+', '#', '\0', '/']) {
-            return Err(("site", format!("{id:?}: give 1 to {MAX_NAME} bytes without / + #")));
+            let id = shown(id);
+            return Err(("site", format!("\"{id}\": give 1 to {MAX_NAME} bytes without / + #")));
         }
         if let Some(wrong) = self.place.as_ref().and_then(|place| place.check().err()) {
             return Err((key(&wrong.field), wrong.reason));

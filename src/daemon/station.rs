@@ -3,12 +3,24 @@
 //! Owns the frame that passes from one to the other, and which camera is asked. Reads no
 //! configuration: `assemble` does.
 
-use super::capture::{Captured, Source, SourceSettings, StreamCounts};
+use super::capture::{Captured, Source, SourceSettings, StreamCounts, advice};
 use super::exit::Failure;
 use super::frame::Frame;
 use super::line::{Line, Observer};
+use crate::refresh::Refresh;
 use crate::sensor::Outcome;
 use std::time::{Duration, Instant};
+
+/// How often a camera has a new picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// It never had one.
+    Still,
+    /// Less often than it is asked; what to do.
+    Slow(String),
+    /// As often as it is asked.
+    Even,
+}
 
 /// A camera with the line behind it.
 #[derive(Debug)]
@@ -56,22 +68,35 @@ impl Station {
     }
 
     /// Asks each `interval`, for at most `limit`, until it is known how often the camera has a new
-    /// picture; false where it never had one.
+    /// picture.
     ///
     /// # Errors
-    /// As [`Self::capture`].
-    pub fn watch_pace(&mut self, interval: Duration, limit: Duration) -> Result<bool, Failure> {
-        let (begun, mut changes) = (Instant::now(), 0);
-        while changes < 2 && self.source.period().is_none() && begun.elapsed() < limit {
+    /// As [`Self::capture`] and [`Self::measure`].
+    pub fn watch_pace(&mut self, interval: Duration, limit: Duration) -> Result<Pace, Failure> {
+        let (begun, mut refresh, mut changes) = (Instant::now(), Refresh::default(), 0);
+        refresh.note(true, Duration::ZERO);
+        while changes < 2 && refresh.period(interval).is_none() && begun.elapsed() < limit {
             std::thread::sleep(interval.clamp(Duration::from_millis(200), Duration::from_secs(5)));
-            changes += u32::from(self.capture()?);
+            // A picture that was only packed anew is the same.
+            let is_new = self.capture()? && self.measure(&mut |_| ())? != Outcome::Unchanged;
+            refresh.note(is_new, begun.elapsed());
+            changes += u32::from(is_new);
         }
-        Ok(changes > 0)
+        Ok(match refresh.period(interval) {
+            _ if changes == 0 => Pace::Still,
+            Some(period) => Pace::Slow(advice(period, interval)),
+            None => Pace::Even,
+        })
     }
 
-    /// What to set where pictures come so seldom that windows would have too few of them.
-    pub fn too_slow(&self) -> Option<String> {
-        self.source.too_slow()
+    /// Whether the camera may give one picture several times.
+    pub fn may_stand_still(&self) -> bool {
+        matches!(self.source, Source::Snapshot(_) | Source::Mjpeg(_))
+    }
+
+    /// What to set where a video's key pictures come so seldom that windows would have too few of them.
+    pub fn slow_keys(&self) -> Option<String> {
+        Some(advice(self.source.slow_keys()?, self.source.interval()))
     }
 
     /// Measures the picture that was taken last.

@@ -220,6 +220,12 @@ impl<const W: usize, P: AsRef<[Preset<W>]> + AsMut<[Preset<W>]>> Sensor<P, W> {
         self.latest.map(|latest| latest.status)
     }
 
+    /// Time between two new pictures, where the camera has them less often than it is asked: windows
+    /// then have too few of them.
+    pub fn camera_period(&self) -> Option<Duration> {
+        self.health.period()
+    }
+
     /// The alarms that are on.
     pub fn alarms(&self) -> impl Iterator<Item = Alarm> + use<P, W> {
         let of_pictures = self.latest.and_then(|latest| latest.alarm);

@@ -3,6 +3,7 @@
 //! Owns the file, its empty form, and what is wrong with it by itself. Whether the answers fit the frames is decided
 //! by `fit`.
 
+use crate::daemon::disk;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ const MOST: u32 = 200;
 #[derive(Debug, thiserror::Error)]
 pub enum AnswersError {
     /// The file cannot be read.
-    #[error("answers {}: {source}", path.display())]
+    #[error("answers {}: {}", path.display(), disk::unread(source))]
     Read {
         /// The file.
         path: PathBuf,

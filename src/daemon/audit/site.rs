@@ -3,6 +3,7 @@
 //! Owns the file and when it may be used. Read at the start and at each reload, as the lane table
 //! is.
 
+use crate::daemon::disk;
 use crate::daemon::output::{WholeFile, WriteError};
 use crate::density::SiteCorrection;
 use crate::wire::hex;
@@ -16,7 +17,7 @@ pub const FORMAT: u32 = 1;
 #[derive(Debug, thiserror::Error)]
 pub enum SiteError {
     /// It cannot be read.
-    #[error("audit {}: {source}", path.display())]
+    #[error("audit {}: {}", path.display(), disk::unread(source))]
     Read {
         /// The file.
         path: PathBuf,

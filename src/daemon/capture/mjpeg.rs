@@ -10,7 +10,6 @@ use super::network::http::{Answer, Body, Client};
 use super::network::{CameraError, CameraSettings, Fault};
 use super::picture::scan::{Pictures, StreamError};
 use super::queue::FRESH;
-use super::refresh::{Refresh, advice};
 use super::{CaptureError, Captured, StreamCounts, decode_shaped};
 use crate::daemon::clock;
 use crate::daemon::frame::Frame;
@@ -29,7 +28,6 @@ pub struct Mjpeg {
     backoff: Backoff,
     last_error: Option<CameraError>,
     last_digest: Option<u64>,
-    refresh: Refresh,
     counts: StreamCounts,
     bytes: Vec<u8>,
 }
@@ -44,7 +42,6 @@ impl Mjpeg {
             backoff: Backoff::default(),
             last_error: None,
             last_digest: None,
-            refresh: Refresh::default(),
             counts: StreamCounts::default(),
             bytes: Vec::new(),
         }
@@ -58,11 +55,6 @@ impl Mjpeg {
     /// Time between two pictures that are taken.
     pub fn interval(&self) -> Duration {
         self.settings.interval
-    }
-
-    /// Time between two new pictures, where the camera is slower than it is asked.
-    pub fn period(&self) -> Option<Duration> {
-        self.refresh.period(self.settings.interval)
     }
 
     pub(super) fn next(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
@@ -91,7 +83,6 @@ impl Mjpeg {
         hasher.write(&self.bytes);
         let digest = hasher.finish();
         if self.last_digest == Some(digest) {
-            self.refresh.note(false, Instant::now());
             return Ok(Captured::Unchanged);
         }
         frame.time = clock::now();
@@ -100,10 +91,6 @@ impl Mjpeg {
             |source| CaptureError::Decode { name: self.settings.address.to_string(), source },
         )?;
         self.last_digest = Some(digest);
-        self.refresh.note(true, Instant::now());
-        if let Some(period) = self.refresh.news(self.settings.interval) {
-            log::warn!("{}", advice(period, self.settings.interval));
-        }
         Ok(Captured::New)
     }
 

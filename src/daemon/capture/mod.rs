@@ -13,7 +13,6 @@ pub mod network;
 pub mod picture;
 pub mod queue;
 mod recorded;
-mod refresh;
 pub mod rtsp;
 mod snapshot;
 mod timestamp;
@@ -25,12 +24,12 @@ pub use mjpeg::Mjpeg;
 pub use network::{CameraError, CameraSettings, Credentials, Fault};
 pub use picture::{DecodeError, decode, decode_shaped, encode::jpeg};
 pub use recorded::{Recorded, RecordingError};
-pub use refresh::advice;
 pub use rtsp::Rtsp;
 pub use snapshot::Snapshot;
 pub use timestamp::offset_s as utc_offset;
 
 use super::address::Protocol;
+use super::disk;
 use super::frame::Frame;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -55,7 +54,7 @@ pub enum Captured {
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// A file of the recording cannot be read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {}", path.display(), disk::unread(source))]
     Read {
         /// The file.
         path: PathBuf,
@@ -76,6 +75,16 @@ pub enum CaptureError {
     /// A device did not give a picture.
     #[error(transparent)]
     Device(#[from] DeviceError),
+}
+
+/// What to do about a camera that has a picture to measure less often than it is asked.
+pub fn advice(period: Duration, interval: Duration) -> String {
+    let whole = period.as_secs_f64().round().max(1.0);
+    format!(
+        "the camera has a new picture each {whole:.0} s and is asked each {} s, so that windows have too \
+         few of them: set camera.interval_s = {whole:.0}, or make the camera faster",
+        interval.as_secs_f64()
+    )
 }
 
 /// What became of a stream's frames since start, beside those that were measured.
@@ -166,15 +175,6 @@ impl Source {
         }
     }
 
-    /// Time between two new pictures, where the camera is slower than it is asked.
-    pub fn period(&self) -> Option<Duration> {
-        match self {
-            Self::Snapshot(snapshot) => snapshot.period(),
-            Self::Mjpeg(mjpeg) => mjpeg.period(),
-            _ => None,
-        }
-    }
-
     /// A camera at the box. It may be absent now and come later.
     ///
     /// # Errors
@@ -216,12 +216,13 @@ impl Source {
         }
     }
 
-    /// What to set where pictures come so seldom that windows would have too few of them.
-    pub fn too_slow(&self) -> Option<String> {
-        let period = self.period().or(self.counts().key_interval)?;
-        let interval = self.interval();
+    /// Time between two key pictures of a video, where it is longer than windows need. Of a video whose
+    /// every picture is measured it does not matter.
+    pub fn slow_keys(&self) -> Option<Duration> {
+        let Self::Rtsp(rtsp) = self else { return None };
+        let interval = rtsp.key_interval_allowed()?;
         // Three quarters of a window's pictures are needed.
-        (period > interval.mul_f64(4.0 / 3.0)).then(|| advice(period, interval))
+        rtsp.counts().key_interval.filter(|&keys| keys > interval.mul_f64(4.0 / 3.0))
     }
 
     /// Fills `frame` with the next picture.

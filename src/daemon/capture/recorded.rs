@@ -7,6 +7,7 @@
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
 use crate::daemon::clock;
+use crate::daemon::disk;
 use crate::daemon::foreign::shown;
 use crate::daemon::frame::Frame;
 use crate::units::UtcMs;
@@ -28,7 +29,7 @@ const MOST_STRAYS: (usize, usize) = (10, 2);
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The folder cannot be listed.
-    #[error("cannot list the frames in {}: {source}", folder.display())]
+    #[error("cannot list the frames in {}: {}", folder.display(), disk::unread(source))]
     List {
         /// The folder.
         folder: PathBuf,

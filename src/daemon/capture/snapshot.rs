@@ -6,7 +6,6 @@
 use super::network::http::{Answer, Body, Client};
 use super::network::{CameraError, CameraSettings, Fault};
 use super::picture::{kind, scan};
-use super::refresh::{Refresh, advice};
 use super::{CaptureError, Captured, MAX_PICTURE_BYTES, decode_shaped};
 use crate::daemon::clock;
 use crate::daemon::frame::Frame;
@@ -28,7 +27,6 @@ pub struct Snapshot {
     settings: CameraSettings,
     client: Client,
     last: Option<Sent>,
-    refresh: Refresh,
     bytes: Vec<u8>,
 }
 
@@ -43,13 +41,7 @@ struct Sent {
 impl Snapshot {
     /// A camera to be asked; no request is made yet.
     pub fn new(settings: CameraSettings) -> Self {
-        Self {
-            client: Client::new(settings.clone()),
-            settings,
-            last: None,
-            refresh: Refresh::default(),
-            bytes: Vec::new(),
-        }
+        Self { client: Client::new(settings.clone()), settings, last: None, bytes: Vec::new() }
     }
 
     /// Time between two requests.
@@ -57,17 +49,11 @@ impl Snapshot {
         self.settings.interval
     }
 
-    /// Time between two new pictures, where the camera is slower than it is asked.
-    pub fn period(&self) -> Option<Duration> {
-        self.refresh.period(self.settings.interval)
-    }
-
     pub(super) fn next(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {
         let sent = self.ask()?;
         let is_known =
             |sent: &Sent| self.last.as_ref().is_some_and(|last| last.digest == sent.digest);
         let Some(sent) = sent.filter(|sent| !is_known(sent)) else {
-            self.refresh.note(false, Instant::now());
             return Ok(Captured::Unchanged);
         };
         frame.time = clock::now();
@@ -77,10 +63,6 @@ impl Snapshot {
             .map_err(|source| CaptureError::Decode { name: name(), source })?;
         // Only now: a picture that cannot be used is not one that stands still.
         self.last = Some(sent);
-        self.refresh.note(true, Instant::now());
-        if let Some(period) = self.refresh.news(self.settings.interval) {
-            log::warn!("{}", advice(period, self.settings.interval));
-        }
         Ok(Captured::New)
     }
 

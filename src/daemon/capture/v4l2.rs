@@ -18,6 +18,7 @@ use super::picture::pixels::{self, Colour, Layout};
 use super::queue::{self, Question, Sequence};
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE, StreamCounts, decode};
 use crate::daemon::clock;
+use crate::daemon::dial;
 use crate::daemon::frame::{Frame, Picture};
 use std::hash::{DefaultHasher, Hasher};
 use std::io::{Error, ErrorKind};
@@ -175,8 +176,14 @@ impl Open {
     fn new(settings: &DeviceSettings) -> Result<Self, CaptureError> {
         let path = || settings.path.clone();
         let device = Device::with_path(&settings.path)
-            .map_err(|error| DeviceError::Open { path: path(), reason: error.to_string() })?;
-        let about = device.query_caps().map_err(|e| failed(settings, "QUERYCAP", &e))?;
+            .map_err(|error| DeviceError::Open { path: path(), reason: dial::system(&error) })?;
+        let about = device.query_caps().map_err(|error| match error.raw_os_error() {
+            Some(libc::ENOTTY | libc::EINVAL) => {
+                let card = "it answers as none".to_owned();
+                DeviceError::NotACamera { path: path(), card }.into()
+            }
+            _ => failed(settings, "QUERYCAP", &error),
+        })?;
         if !about.capabilities.contains(Can::VIDEO_CAPTURE | Can::STREAMING) {
             return Err(DeviceError::NotACamera { path: path(), card: about.card }.into());
         }
@@ -271,7 +278,7 @@ fn guarded<T>(
 }
 
 fn failed(settings: &DeviceSettings, step: &'static str, error: &Error) -> CaptureError {
-    let (path, reason) = (settings.path.clone(), error.to_string());
+    let (path, reason) = (settings.path.clone(), dial::system(error));
     DeviceError::Stream { path, step, reason }.into()
 }
 
@@ -391,7 +398,7 @@ mod tests {
     #[test]
     fn a_node_that_is_no_camera_is_named() {
         let error = camera("/dev/null").next(&mut Frame::default()).expect_err("no camera");
-        assert!(error.to_string().contains("QUERYCAP"), "{error}");
+        assert!(error.to_string().contains("not a camera"), "{error}");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::sections::MAX_TIMEOUT_S;
 use super::{Config, Mqtt};
 use crate::daemon::address::Address;
-use crate::daemon::foreign::shown;
+use crate::daemon::foreign::{is_plain, shown};
 use crate::daemon::publish::Format;
 use crate::daemon::trust::Trust;
 use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
@@ -140,12 +140,14 @@ impl Config {
         for (key, text) in [("site", self.site.id.as_str()), ("mqtt.root", root)] {
             let what = if text.contains("${") || text.contains("{{") {
                 "a placeholder that nobody has filled in"
-            } else if text.trim() != text || text.chars().any(char::is_control) {
-                "blanks at its ends, or control characters"
+            } else if text.trim() != text || !is_plain(text) {
+                "blanks at its ends, or characters that do not show"
+            } else if matches!(text, "." | "..") {
+                "it is no name: it stands for a folder"
             } else {
                 continue;
             };
-            return Err((key, format!("{:?}: {what}", shown(text))));
+            return Err((key, format!("\"{}\": {what}", shown(text))));
         }
         if root.starts_with(['/', '$']) || root.ends_with('/') {
             return Err((

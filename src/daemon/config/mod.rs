@@ -15,7 +15,9 @@ pub use sections::{
 };
 
 use crate::daemon::address::{Address, AddressError, veiled};
+use crate::daemon::disk;
 use crate::daemon::places;
+use crate::daemon::plain;
 use crate::daemon::publish::TlsFiles;
 use crate::daemon::road_file;
 use crate::daemon::serial::SerialSettings;
@@ -26,11 +28,14 @@ use signed::Trusted;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// Most bytes of a configuration.
+const MAX_BYTES: u64 = 1 << 20;
+
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// It cannot be read.
-    #[error("configuration {}: {source}", path.display())]
+    #[error("configuration {}: {}", path.display(), disk::unread(source))]
     Read {
         /// The file.
         path: PathBuf,
@@ -127,7 +132,7 @@ impl Config {
     /// [`ConfigError`] names file, key and reason.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let unread = |source| ConfigError::Read { path: path.to_owned(), source };
-        let text = std::fs::read(path).map_err(unread)?;
+        let text = plain::read(path, MAX_BYTES).map_err(unread)?;
         let text = String::from_utf8(text).map_err(|error| {
             let good = error.utf8_error().valid_up_to();
             let line = 1 + error.as_bytes()[..good].iter().filter(|&&byte| byte == b'\n').count();
@@ -156,7 +161,15 @@ impl Config {
             key,
             reason,
         })?;
+        let is_like_a_host = config.camera.is_like_a_host();
         config.resolve(path.parent().unwrap_or(Path::new("")));
+        if is_like_a_host && !Path::new(&config.camera.source).exists() {
+            return Err(ConfigError::Value {
+                path: path.to_owned(),
+                key: "camera.source",
+                reason: sections::NEITHER.to_owned(),
+            });
+        }
         if let Some(trusted) = trusted {
             config.signed_files().try_for_each(|file| trusted.check_file(&file))?;
         }

@@ -4,7 +4,11 @@
 //! Docker or Kubernetes has made for the service.
 
 use super::ConfigError;
+use crate::daemon::{disk, plain};
 use std::path::{Path, PathBuf};
+
+/// Most bytes of such a file: MQTT has no room for a longer password.
+const MAX_BYTES: u64 = u16::MAX as u64;
 
 /// Folders in which only the service's own credentials are: a group may read there, and with
 /// Docker and Kubernetes anybody, for nobody else sees the folder.
@@ -40,22 +44,22 @@ pub(super) fn secret(
 /// The text of a file that nobody else may read.
 pub(super) fn private(key: &'static str, path: &Path) -> Result<String, ConfigError> {
     let wrong = |reason: String| ConfigError::Secret { key, path: path.to_owned(), reason };
-    let text = std::fs::read_to_string(path).map_err(|error| {
+    let bytes = plain::read(path, MAX_BYTES).map_err(|error| {
         wrong(match error.kind() {
-            std::io::ErrorKind::InvalidData => "is not UTF-8 text".to_owned(),
+            std::io::ErrorKind::FileTooLarge => "is larger than any password or key".to_owned(),
             std::io::ErrorKind::PermissionDenied => {
                 "this user may not read it: chown it to the user \
                 that verge runs as (verge), or hand it over as a credential of the service"
                     .to_owned()
             }
-            std::io::ErrorKind::NotFound => "there is no such file".to_owned(),
-            _ => error.to_string(),
+            _ => disk::unread(&error).to_string(),
         })
     })?;
+    let text = String::from_utf8(bytes).map_err(|_| wrong("is not UTF-8 text".to_owned()))?;
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt;
-        let file = std::fs::metadata(path).map_err(|e| wrong(e.to_string()))?;
+        let file = std::fs::metadata(path).map_err(|e| wrong(disk::unread(&e).to_string()))?;
         let is_credential = is_credential(path, std::env::var_os("CREDENTIALS_DIRECTORY"));
         judge(file.mode(), is_credential).map_err(wrong)?;
     }
@@ -119,6 +123,23 @@ mod tests {
         assert!(!is_credential(&link, None));
         assert!(!is_credential(&folder.path().join("other"), given()));
         assert!(!is_credential(&link, Some("".into())));
+    }
+
+    #[test]
+    fn what_is_no_file_of_a_password_neither_hangs_nor_fills_the_memory() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let long = folder.path().join("long");
+        std::fs::write(&long, "x".repeat(70_000)).expect("written");
+        for (path, expected) in [
+            (Path::new("/dev/zero"), "not a plain file"),
+            (folder.path(), "name a file"),
+            (&long, "larger than any password"),
+            (&folder.path().join("none"), "no such file"),
+        ] {
+            let error = secret("mqtt.password_file", Some("u"), Some(path));
+            let error = error.expect_err("no password").to_string();
+            assert!(error.contains(expected) && !error.contains("os error"), "{error}");
+        }
     }
 
     #[test]

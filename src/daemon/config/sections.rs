@@ -262,6 +262,10 @@ pub enum SourceKind {
     Folder,
 }
 
+/// What a source is that nobody can open.
+pub(super) const NEITHER: &str = "it is neither an address nor a folder: a camera's begins with http://, \
+    https://, mjpeg+http://, mjpeg+https://, rtsp:// or rtsps://";
+
 impl Camera {
     /// What the source is.
     pub fn kind(&self) -> SourceKind {
@@ -270,6 +274,16 @@ impl Camera {
             source if source.starts_with("/dev/") => SourceKind::Device,
             _ => SourceKind::Folder,
         }
+    }
+
+    /// Whether the source, should no such folder be there, is rather the address of a camera without its
+    /// beginning.
+    pub(super) fn is_like_a_host(&self) -> bool {
+        let source = self.source.trim();
+        let first = source.split('/').next().unwrap_or_default();
+        let has_dots = first.trim_matches('.').contains('.') && !first.starts_with('.');
+        let is_scheme = ["http", "https", "rtsp"].iter().any(|one| first.eq_ignore_ascii_case(one));
+        self.kind() == SourceKind::Folder && (source.starts_with("//") || has_dots || is_scheme)
     }
 
     /// What is wrong with the source, where nobody could open it.
@@ -284,10 +298,7 @@ impl Camera {
                     || name.eq_ignore_ascii_case("localhost")
                     || (first.contains(':') && !name.is_empty())
                     || self.source.contains(['?', '@']);
-                is_host.then(|| {
-                    "it is neither an address nor a folder: a camera's begins with http://, https://, \
-                     mjpeg+http://, mjpeg+https://, rtsp:// or rtsps://".to_owned()
-                })
+                is_host.then(|| NEITHER.to_owned())
             }
         }
     }

@@ -22,6 +22,7 @@ pub use head_key::{HeadKind, HeadSpec};
 pub use inspect::{Inspection, inspect};
 pub use sidecar::{Sidecar, SidecarError, Step};
 
+use super::disk;
 use super::frame::{Detection, Picture, Region};
 use super::plain;
 use crate::lane::Name;
@@ -48,7 +49,7 @@ pub enum ModelError {
     #[error(transparent)]
     Sidecar(#[from] SidecarError),
     /// The file cannot be read.
-    #[error("model {}: {source}", path.display())]
+    #[error("model {}: {}", path.display(), disk::unread(source))]
     Read {
         /// The model file.
         path: PathBuf,

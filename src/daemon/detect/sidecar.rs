@@ -3,6 +3,7 @@
 //! Owns its keys, its checks, and the list of models that verge knows without one.
 
 use super::head_key::HeadKey;
+use crate::daemon::disk;
 use crate::daemon::plain;
 use crate::density::Counting;
 use crate::evidence::Evidence;
@@ -41,7 +42,7 @@ const INPUT_STEP_PX: usize = 32;
 #[derive(Debug, thiserror::Error)]
 pub enum SidecarError {
     /// It cannot be read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {}", path.display(), disk::unread(source))]
     Read {
         /// Sidecar or model.
         path: PathBuf,

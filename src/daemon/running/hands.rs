@@ -33,6 +33,8 @@ pub struct Hands {
     announced: Option<u64>,
     /// The latest fault, until a picture is measured.
     last_fault: Option<String>,
+    /// What to do about a camera that is slower than it is asked.
+    slow: Option<String>,
     /// Why the latest new configuration was refused.
     refused: Option<String>,
     health_due: bool,
@@ -55,6 +57,7 @@ impl Hands {
             known: Announced::open(config.spool_folder()),
             announced: None,
             last_fault: None,
+            slow: None,
             refused: None,
             health_due: false,
             longest: longest(config),
@@ -146,14 +149,24 @@ impl Hands {
         }
     }
 
+    /// The camera is slower than it is asked, and what to do about it, or it is not. It stands in the
+    /// state, and once in the log.
+    pub fn note_slow(&mut self, advice: Option<String>) {
+        if let Some(advice) = advice.as_ref().filter(|_| self.slow.is_none()) {
+            log::warn!("{advice}");
+        }
+        self.slow = advice;
+    }
+
     /// A new configuration is refused, or none is any more.
     pub fn refuse(&mut self, reason: Option<&Failure>) {
         self.refused = reason.map(|failure| format!("reload refused: {failure}"));
     }
 
-    /// What is wrong: with the pictures first, else with a new configuration.
+    /// What is wrong: with the pictures first, then with their number, else with a new configuration.
     pub fn fault(&self) -> Option<&str> {
-        self.last_fault.as_deref().or(self.refused.as_deref())
+        let faults = [&self.last_fault, &self.slow, &self.refused];
+        faults.into_iter().find_map(Option::as_deref)
     }
 
     /// Days until the first certificate in use ends.

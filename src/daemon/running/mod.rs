@@ -12,6 +12,7 @@ mod road;
 mod takeover;
 
 use super::board::Driven;
+use super::capture::advice;
 use super::clock::{self, Step, Watch};
 use super::config::Config;
 use super::exit::Failure;
@@ -197,7 +198,7 @@ impl Running {
             synchronised: clock::is_synchronised(),
         };
         let mut act = |action: Action<'_>| hands.perform(action);
-        match outcome {
+        let turned = match outcome {
             Ok(outcome) => {
                 let taken = if is_new { time } else { now.time };
                 // A stage that gave an outcome did not break.
@@ -212,7 +213,10 @@ impl Running {
                 hands.note_fault(&fault);
                 given_up.map_err(|GivenUp| fault)
             }
-        }
+        };
+        let slow = sensor.camera_period().map(|period| advice(period, sensor.interval()));
+        hands.note_slow(slow.or_else(|| station.slow_keys()));
+        turned
     }
 
     /// Closes windows, judges health and publishes what has changed. Returns what lamp and relay

@@ -4,6 +4,7 @@
 
 use super::record::Record;
 use super::{Entry, Place, Spool};
+use crate::daemon::disk;
 use crate::wire::DensityMessage;
 use std::collections::BTreeSet;
 use std::io;
@@ -97,7 +98,10 @@ impl Spool {
                 }
                 Err(error) => {
                     if !std::mem::replace(&mut self.unreadable_said, true) {
-                        log::error!("spool: a window cannot be read now and stays: {error}");
+                        log::error!(
+                            "spool: a window cannot be read now and stays: {}",
+                            disk::unread(&error)
+                        );
                     }
                     self.entries[index].given = Given::Unreadable;
                 }

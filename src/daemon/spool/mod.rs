@@ -20,6 +20,7 @@ mod recovery;
 mod segment;
 mod storage;
 
+use crate::daemon::disk;
 use crate::wire::DensityMessage;
 use arrears::Given;
 pub use arrears::Waiting;
@@ -36,6 +37,10 @@ use storage::remove;
 /// Most windows that are kept in memory while the disk takes none: a day of minutes.
 pub const MAX_IN_MEMORY: usize = 1440;
 
+/// What follows when the disk takes no windows.
+const IN_MEMORY: &str = "until the disk takes them windows are kept in memory alone, and those that the \
+                         broker has not taken are lost at the next restart";
+
 /// Why a spool cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SpoolError {
@@ -50,7 +55,7 @@ pub enum SpoolError {
     )]
     Version(PathBuf),
     /// The disk.
-    #[error(transparent)]
+    #[error("spool: {}", disk::unwritten(.0))]
     Disk(#[from] io::Error),
 }
 
@@ -172,7 +177,7 @@ impl Spool {
         spool.lock = lock(folder)?;
         match made.map_err(SpoolError::Disk).and_then(|()| spool.recover(folder)) {
             Err(SpoolError::Disk(error)) => {
-                log::error!("spool {}: {error}; windows are kept in memory", folder.display());
+                log::error!("spool {}: {}; {IN_MEMORY}", folder.display(), disk::unwritten(&error));
             }
             outcome => outcome?,
         }

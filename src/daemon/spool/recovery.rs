@@ -7,6 +7,7 @@ use super::numbers::Numbers;
 use super::record::{Checkpoint, MIN_WINDOW, Record, Scan};
 use super::segment::{Opened, SEGMENT, Segment};
 use super::{Entry, Given, Place, Spool, SpoolError};
+use crate::daemon::disk;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -50,7 +51,11 @@ impl Spool {
                     continue;
                 }
                 Err(error) => {
-                    log::error!("spool: {}: {error}; its windows are missing", path.display());
+                    log::error!(
+                        "spool: {}: {}; its windows are missing",
+                        path.display(),
+                        disk::unread(&error)
+                    );
                     self.counts.damaged += 1;
                     unknown = SEGMENT;
                     continue;
@@ -150,8 +155,9 @@ impl Spool {
                 found.into_iter().for_each(|numbers| self.take_numbers(numbers));
             }
             Err(error) => log::warn!(
-                "spool: numbers cannot be kept apart: {error}; after a kill while the disk takes \
-                 nothing, numbers may be used twice"
+                "spool: numbers cannot be kept apart: {}; after a kill while the disk takes nothing, \
+                 numbers may be used twice",
+                disk::unwritten(&error)
             ),
         }
     }

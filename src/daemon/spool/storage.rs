@@ -4,8 +4,10 @@ use super::numbers::Numbers;
 use super::record::{Checkpoint, MAX_KEYS, Record};
 use super::recovery::lock;
 use super::segment::{SEGMENT, Segment};
-use super::{Entry, Place, Spool};
+use super::{Entry, IN_MEMORY, Place, Spool};
+use crate::daemon::disk;
 use std::io;
+use std::path::Path;
 
 impl Spool {
     /// Writes what only the memory holds, oldest first, with what was acknowledged.
@@ -65,6 +67,8 @@ impl Spool {
             return Ok(());
         }
         let folder = self.folder.clone().ok_or(io::ErrorKind::NotFound)?;
+        // Where it cannot be made, that is the reason to give.
+        std::fs::create_dir_all(&folder)?;
         while self.segments.len() >= self.max_segments {
             self.drop_oldest();
         }
@@ -101,7 +105,7 @@ impl Spool {
         }
         let Some(file) = &mut self.numbers else { return };
         if let Err(error) = file.write(numbers) {
-            log::warn!("spool: numbers cannot be kept apart: {error}");
+            log::warn!("spool: numbers cannot be kept apart: {}", disk::unwritten(&error));
             self.numbers = None;
         }
         self.counts.written_bytes += 4096;
@@ -125,7 +129,8 @@ impl Spool {
     /// The disk has refused: nothing more goes into this segment.
     pub(super) fn refuse(&mut self, error: &io::Error) {
         if self.writable || self.in_memory_count() == 1 {
-            log::error!("spool: {error}; windows are kept in memory until the disk takes them");
+            let folder = self.folder.as_deref().unwrap_or(Path::new("")).display();
+            log::error!("spool {folder}: {}; {IN_MEMORY}", disk::unwritten(error));
         }
         self.writable = false;
     }
@@ -154,6 +159,9 @@ impl Spool {
 
 pub(super) fn remove(segment: Segment) {
     if let Err(error) = segment.remove() {
-        log::warn!("spool: a segment that is done with cannot be removed: {error}");
+        log::warn!(
+            "spool: a segment that is done with cannot be removed: {}",
+            disk::unwritten(&error)
+        );
     }
 }

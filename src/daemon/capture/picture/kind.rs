@@ -137,7 +137,9 @@ fn words(page: &str) -> String {
             _ => {}
         }
     }
-    cut(&text.split_whitespace().collect::<Vec<_>>().join(" "))
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    // Marks alone, such as one that refreshes to another address.
+    cut(if text.is_empty() { page } else { &text })
 }
 
 fn cut(text: &str) -> String {
@@ -174,6 +176,7 @@ mod tests {
                 "an HTML page in place of a picture (\"Login now\")",
             ),
             (b"\xef\xbb\xbf <HTML>x", "an HTML page"),
+            (b"<html><meta content=\"0;url=/jpg\"></html>", "url=/jpg"),
             (b"<?xml version=\"1.0\"?><e>bad user</e>", "XML in place of a picture (\"bad user\")"),
             (
                 b"{\"error\":{\"code\":-6}}",

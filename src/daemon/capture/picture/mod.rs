@@ -1,11 +1,12 @@
 //! From JPEG or PNG bytes to pixels, with limits.
 //!
 //! Owns what a picture must satisfy to be measured at all: whole, of the lane table's shape, and
-//! not too large; and that it stands as a viewer shows it. The door of the crates `image` and
-//! `png`. Nothing that stands beside the pixels is unpacked: a profile or a text of a few bytes
+//! not too large; and that it stands as a viewer shows it. The door of the crates `image`, `png` and
+//! `jpeg_decoder`. Nothing that stands beside the pixels is unpacked: a profile or a text of a few bytes
 //! may unpack to gigabytes.
 
 pub mod encode;
+mod half;
 pub mod jpeg;
 pub mod kind;
 pub mod pixels;
@@ -151,7 +152,12 @@ fn decode_jpeg(
     let header = jpeg::header(bytes)?;
     let kept = if header.keeps_coefficients { header.coefficients * 2 } else { 0 };
     let kept = kept + COPIES * bytes.len().min(super::MAX_PICTURE_BYTES) as u64;
-    check(header.width, header.height, header.orientation, 3, kept, shape)?;
+    let (pixels, is_half) = (
+        u64::from(header.width) * u64::from(header.height),
+        half::suits(header.width, header.height),
+    );
+    let memory = kept + if is_half { half::memory(pixels) } else { 3 * pixels };
+    check(header.width, header.height, header.orientation, memory, shape)?;
     let bytes = match jpeg::EndFinder::default().find(bytes) {
         jpeg::End::At(end) => &bytes[..end],
         jpeg::End::Later => return Err(DecodeError::Truncated { bytes: bytes.len() }),
@@ -168,6 +174,11 @@ fn decode_jpeg(
         None => bytes,
     };
     jpeg::verify(bytes)?;
+    if is_half && half::decode(bytes, picture)? {
+        finish(picture, header.orientation);
+        return Ok(());
+    }
+    check_memory(header.width, header.height, kept + 3 * pixels)?;
     let decoder =
         image::codecs::jpeg::JpegDecoder::new(Cursor::new(bytes)).map_err(|e| damaged(&e))?;
     let (width, height) = decoder.dimensions();
@@ -213,7 +224,8 @@ fn decode_png(
     let interlaced = reader.info().interlaced;
     let kept = u64::from(width) * u64::from(height) * if interlaced { 4 } else { 0 };
     let kept = kept + COPIES * bytes.len().min(super::MAX_PICTURE_BYTES) as u64;
-    check(width, height, orientation, 3, kept, shape)?;
+    let memory = kept + 3 * u64::from(width) * u64::from(height);
+    check(width, height, orientation, memory, shape)?;
     (picture.width, picture.height) = (width as usize, height as usize);
     picture.rgb.clear();
     picture.rgb.reserve(picture.width * picture.height * 3);
@@ -286,18 +298,16 @@ pub fn check_memory(width: u32, height: u32, memory: u64) -> Result<(), DecodeEr
     Ok(())
 }
 
-/// Checks what a header promises: the size, the shape as it will stand, and the memory for
-/// pixels of `channels` bytes with `kept` bytes beside them.
+/// Checks what a header promises: the size, the shape as it will stand, and the memory, bytes.
 fn check(
     width: u32,
     height: u32,
     orientation: u8,
-    channels: u64,
-    kept: u64,
+    memory: u64,
     shape: Option<Shape>,
 ) -> Result<(), DecodeError> {
     check_size(width, height)?;
-    check_memory(width, height, u64::from(width) * u64::from(height) * channels + kept)?;
+    check_memory(width, height, memory)?;
     let (width, height) = if orientation > 4 { (height, width) } else { (width, height) };
     match shape {
         Some(shape) if !shape.admits(width, height) => {

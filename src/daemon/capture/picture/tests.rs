@@ -150,6 +150,52 @@ fn turned_pictures_are_made_smaller_as_upright_ones_are() {
     }
 }
 
+/// A smooth picture with edges in it, as roads have.
+fn scene(width: u32, height: u32) -> image::RgbImage {
+    image::RgbImage::from_fn(width, height, |x, y| {
+        let edge = if (x / 97 + y / 61) % 3 == 0 { 70 } else { 0 };
+        image::Rgb([(x / 24) as u8 % 180 + edge, (y / 18) as u8 % 180 + edge, 90 + edge])
+    })
+}
+
+/// Half the size while it is decoded gives what half the size afterwards gives, but for rounding, upright
+/// and turned, coloured and grey.
+#[test]
+fn decoded_at_half_its_size_a_picture_is_what_its_half_is() {
+    let (width, height) = (4056, 3040);
+    assert!(half::suits(width, height) && !half::suits(3840, 2160) && !half::suits(4057, 3040));
+    let whole = scene(width, height);
+    for is_grey in [false, true] {
+        let mut bytes = Vec::new();
+        let mut encoder = JpegEncoder::new_with_quality(&mut bytes, 90);
+        let mut reference = if is_grey {
+            let grey = image::DynamicImage::from(whole.clone()).to_luma8();
+            encoder.encode_image(&grey).expect("encoding to memory");
+            let rgb = grey.into_raw().iter().flat_map(|&level| [level; 3]).collect();
+            Picture { width: width as usize, height: height as usize, rgb }
+        } else {
+            encoder.encode_image(&whole).expect("encoding to memory");
+            let rgb = whole.clone().into_raw();
+            Picture { width: width as usize, height: height as usize, rgb }
+        };
+        reduce(&mut reference);
+        let mut picture = Picture::default();
+        decode(&bytes, &mut picture).expect("12 megapixels");
+        assert_eq!((picture.width, picture.height), (reference.width, reference.height));
+        let difference: u64 =
+            picture.rgb.iter().zip(&reference.rgb).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        let mean = difference as f64 / picture.rgb.len() as f64;
+        assert!(mean < 1.5, "grey {is_grey}: {mean} levels");
+        // A shift by a pixel would show at the edges.
+        let shifted: u64 = picture.rgb[3..]
+            .iter()
+            .zip(&reference.rgb)
+            .map(|(a, b)| u64::from(a.abs_diff(*b)))
+            .sum();
+        assert!(shifted as f64 / picture.rgb.len() as f64 > 1.3 * mean, "grey {is_grey}: {mean}");
+    }
+}
+
 #[test]
 fn another_shape_is_refused_by_its_header() {
     let shape = Some(Shape { width: 64, height: 48 });

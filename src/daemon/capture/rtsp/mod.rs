@@ -84,7 +84,7 @@ impl Stream {
     }
 
     /// What it is, and what to set where it does not fit the interval.
-    pub fn describe(&self, interval: Duration) -> String {
+    pub fn describe(&self, interval: Option<Duration>) -> String {
         let mut text = self.codec.clone();
         if let Some((width, height)) = self.size {
             text.push_str(&format!(", {width}x{height} px"));
@@ -94,7 +94,7 @@ impl Stream {
         }
         if let Some(key) = self.key_interval {
             text.push_str(&format!(", a key picture each {:.1} s", key.as_secs_f64()));
-            if key > interval.mul_f64(1.2) {
+            if let Some(interval) = interval.filter(|interval| key > interval.mul_f64(1.2)) {
                 text.push_str(&format!(
                     "; they are asked for each {} s: set the camera's key (I-frame) interval to that, or \
                      camera.interval_s = {:.0}",
@@ -154,6 +154,11 @@ impl Rtsp {
         self.settings.interval
     }
 
+    /// How often a key picture must come; `None` where every picture is measured.
+    pub fn key_interval_allowed(&self) -> Option<Duration> {
+        (!self.settings.every_picture).then_some(self.settings.interval)
+    }
+
     /// What is known of the stream.
     pub fn stream(&self) -> Stream {
         locked(&self.stream).clone()
@@ -161,7 +166,7 @@ impl Rtsp {
 
     /// What the stream is, and what to set.
     pub fn describe(&self) -> String {
-        self.stream().describe(self.settings.interval)
+        self.stream().describe(self.key_interval_allowed())
     }
 
     pub(super) fn next(&mut self, frame: &mut Frame) -> Result<Captured, CaptureError> {

@@ -93,17 +93,5 @@ fn tempfile_beside(file: &Path) -> io::Result<()> {
 }
 
 fn unwritable(path: &Path, source: io::Error) -> Failure {
-    let remedy = match source.kind() {
-        io::ErrorKind::PermissionDenied => {
-            "it belongs to another user: chown it to the one that verge runs as (verge)"
-        }
-        io::ErrorKind::NotFound => "make its folder, or name another",
-        io::ErrorKind::ReadOnlyFilesystem => {
-            "the file system is read-only: name a place that is not"
-        }
-        io::ErrorKind::StorageFull => "the disk is full",
-        io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => "a file is in its way",
-        _ => "name another place",
-    };
-    Failure::Unwritable { path: path.to_owned(), source, remedy }
+    Failure::Write { path: path.to_owned(), source }
 }

@@ -9,13 +9,14 @@ pub(super) mod folders;
 use crate::alarm::Alarm;
 use crate::daemon::address::masked;
 use crate::daemon::assemble::{broker, first_picture, open_line};
+use crate::daemon::capture::advice;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::Line;
 use crate::daemon::offset::Offset;
 use crate::daemon::output::WholeFile;
 use crate::daemon::publish::{self, payload::status_name};
-use crate::daemon::station::Station;
+use crate::daemon::station::{Pace, Station};
 use crate::health::Event;
 use std::borrow::Cow;
 use std::path::Path;
@@ -87,8 +88,8 @@ fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
     }
     let picture = first_picture(&config, line.as_ref()).and_then(|(source, frame)| {
         source.settle(KEYS);
-        match source.too_slow() {
-            Some(advice) => Err(Failure::Pace(advice)),
+        match source.slow_keys() {
+            Some(keys) => Err(Failure::Pace(advice(keys, source.interval()))),
             None => Ok((source, frame)),
         }
     });
@@ -135,16 +136,22 @@ fn measure(station: &mut Station, interval: Duration) -> Result<String, Failure>
     let (mut found, mut located) = station.line().latest();
     std::thread::sleep(APART);
     let is_new = station.capture()?;
-    let second = if is_new { measured(station)? } else { Some(Event::Unchanged) };
+    let mut second = if is_new { measured(station)? } else { Some(Event::Unchanged) };
+    // By chance the one new picture in half a minute may have come just then.
+    if is_new && station.may_stand_still() && interval <= LONGEST_WATCHED {
+        std::thread::sleep(interval.mul_f64(1.5).max(Duration::from_secs(1)));
+        if !station.capture()? {
+            second = Some(Event::Unchanged);
+        }
+    }
     let event = match second {
         // A camera may give the same picture until its next is due.
         Some(Event::Unchanged) if interval > LONGEST_WATCHED => first,
-        Some(Event::Unchanged) if !is_new && station.watch_pace(interval, NEW)? => {
-            match station.too_slow() {
-                Some(advice) => return Err(Failure::Pace(advice)),
-                None => first,
-            }
-        }
+        Some(Event::Unchanged) => match station.watch_pace(interval, NEW)? {
+            Pace::Still => second,
+            Pace::Slow(advice) => return Err(Failure::Pace(advice)),
+            Pace::Even => first,
+        },
         second => second,
     };
     if second == Some(Event::Measured) {

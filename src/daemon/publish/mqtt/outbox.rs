@@ -1,7 +1,8 @@
 //! What waits to be sent in a session, and what is on its way.
 //!
 //! Owns the order: presence, live windows, states, windows of an outage. No window waits behind
-//! discovery or alarms: states have places of their own, and no more.
+//! discovery or alarms: states have places of their own, and no more, and where they may end the
+//! session they come last.
 
 use super::Message;
 use std::collections::VecDeque;
@@ -23,6 +24,17 @@ pub(super) enum Kind {
     State,
     /// Given again by the spool.
     Window { key: u64 },
+}
+
+/// Which turn states have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum States {
+    /// Before the windows of an outage, of which there may be thousands.
+    BeforeArrears,
+    /// Behind all windows.
+    Last,
+    /// None yet.
+    Wait,
 }
 
 #[derive(Debug)]
@@ -67,19 +79,19 @@ impl Outbox {
     }
 
     /// The next message, where `most` and our own limits let one more go ahead.
-    pub(super) fn next(&mut self, most: usize) -> Option<Sending> {
+    pub(super) fn next(&mut self, most: usize, turn: States) -> Option<Sending> {
         if self.in_flight.len() >= most.min(IN_FLIGHT) {
             return None;
         }
         let states = self.in_flight.iter().filter(|sent| sent.sending.kind == Kind::State).count();
-        let state = |queue: &mut VecDeque<Sending>| {
-            if states < STATES_IN_FLIGHT { queue.pop_front() } else { None }
-        };
+        let is_room = states < STATES_IN_FLIGHT;
+        let mut state = |at| if is_room && turn == at { self.states.pop_front() } else { None };
         self.first
             .pop_front()
             .or_else(|| self.live.pop_front())
-            .or_else(|| state(&mut self.states))
+            .or_else(|| state(States::BeforeArrears))
             .or_else(|| self.arrears.pop_front())
+            .or_else(|| state(States::Last))
     }
 
     pub(super) fn sent(&mut self, sending: Sending, packet: u16, now: Instant) {
@@ -147,7 +159,7 @@ mod tests {
         let now = Instant::now();
         let mut order = Vec::new();
         let mut packet = 0;
-        while let Some(sending) = outbox.next(usize::MAX) {
+        while let Some(sending) = outbox.next(usize::MAX, States::BeforeArrears) {
             packet += 1;
             order.push(sending.message.topic.clone());
             outbox.sent(sending, packet, now);
@@ -155,7 +167,8 @@ mod tests {
         // The states wait for an acknowledgement; the windows are on their way.
         assert_eq!(order, ["presence", "live", "s0", "s1", "s2", "s3", "arrear"]);
         assert!(outbox.remove(3).is_some() && outbox.remove(3).is_none());
-        assert_eq!(outbox.next(usize::MAX).expect("one more").message.topic, "s4");
+        let next = outbox.next(usize::MAX, States::BeforeArrears);
+        assert_eq!(next.expect("one more").message.topic, "s4");
         outbox.end_session();
         let left: Vec<_> = outbox.states.iter().map(|s| s.message.topic.as_str()).collect();
         assert_eq!((left.len(), left[0], left[3]), (18, "s1", "s5"));
@@ -163,14 +176,27 @@ mod tests {
     }
 
     #[test]
+    fn where_states_may_end_the_session_windows_go_first() {
+        let mut outbox = Outbox::default();
+        outbox.state(message("s"));
+        assert!(outbox.next(1, States::Wait).is_none());
+        outbox.window(1, false, message("arrear"));
+        let mut topics = Vec::new();
+        while let Some(sending) = outbox.next(1, States::Last) {
+            topics.push(sending.message.topic);
+        }
+        assert_eq!(topics, ["arrear", "s"]);
+    }
+
+    #[test]
     fn one_at_a_time_where_that_is_asked() {
         let mut outbox = Outbox::default();
         (0..3).for_each(|key| outbox.window(key, true, message("w")));
-        let first = outbox.next(1).expect("one");
+        let first = outbox.next(1, States::Last).expect("one");
         outbox.sent(first, 7, Instant::now());
-        assert!(outbox.next(1).is_none());
+        assert!(outbox.next(1, States::Last).is_none());
         assert_eq!(outbox.alone_in_flight().map(|m| m.topic.as_str()), Some("w"));
         outbox.remove(7);
-        assert!(outbox.next(1).is_some());
+        assert!(outbox.next(1, States::Last).is_some());
     }
 }

@@ -163,7 +163,7 @@ fn read_5(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
                 Reason::NotAuthorized => Acknowledged::Refused(with("not authorised", said)),
                 Reason::QuotaExceeded => Acknowledged::Refused(with("its quota is used up", said)),
                 Reason::TopicNameInvalid => Acknowledged::Refused(with("not this topic", said)),
-                reason => Acknowledged::Refused(with(&format!("{reason:?}"), said)),
+                reason => Acknowledged::Refused(with(&plainly(&reason), said)),
             };
             Incoming::Acknowledged(ack.pkid, outcome)
         }
@@ -195,7 +195,8 @@ fn read_5(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
                 Code::PacketTooLarge => with("a message is too large for it", said),
                 Code::ServerShuttingDown => with("it shuts down", said),
                 Code::KeepAliveTimeout => with("it has heard nothing for too long", said),
-                code => with(&format!("{code:?}"), said),
+                Code::QoSNotSupported => with(NO_ACKNOWLEDGEMENTS, said),
+                code => with(&plainly(&code), said),
             })
         }
         _ => return Err("it sends what only clients send".to_owned()),
@@ -206,9 +207,27 @@ fn read_5(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
 pub(super) const TAKEN_OVER: &str = "another client came with our client id: two boxes of one \
     site, or of one mqtt.client_id? Give each its own";
 
+/// What a broker is that takes messages of QoS 0 alone.
+const NO_ACKNOWLEDGEMENTS: &str = "it takes no QoS 1, and without acknowledgements nobody knows whether \
+    a window has arrived: allow QoS 1 there (mosquitto: max_qos 1)";
+
+/// A reason's name in the standard as words: `ServerBusy` is "server busy".
+fn plainly(reason: &impl std::fmt::Debug) -> String {
+    let mut words = String::new();
+    for letter in format!("{reason:?}").chars() {
+        if letter.is_uppercase() && !words.is_empty() {
+            words.push(' ');
+        }
+        words.extend(letter.to_lowercase());
+    }
+    words
+}
+
 fn answer_5(ack: &v5::ConnAck) -> Incoming {
     use v5::ConnectReturnCode as Code;
-    let said = ack.properties.as_ref().and_then(|properties| properties.reason_string.clone());
+    let properties = ack.properties.as_ref();
+    let said = properties.and_then(|properties| properties.reason_string.clone());
+    let elsewhere = properties.and_then(|properties| properties.server_reference.as_deref());
     match ack.code {
         Code::Success => {
             let mut limits = Limits::NONE;
@@ -217,7 +236,11 @@ fn answer_5(ack: &v5::ConnAck) -> Incoming {
                 limits.packet = size.unwrap_or(usize::MAX);
                 limits.in_flight = properties.receive_max.map_or(usize::MAX, usize::from);
                 limits.retains = properties.retain_available != Some(0);
-                limits.keep_alive_s = properties.server_keep_alive;
+                // 0: it drops nobody for silence.
+                limits.keep_alive_s = properties.server_keep_alive.filter(|&seconds| seconds > 0);
+                if properties.max_qos == Some(0) {
+                    return Incoming::Denied(Denial::Other(NO_ACKNOWLEDGEMENTS.to_owned()));
+                }
             }
             if limits.in_flight == 0 {
                 return Incoming::Closing("it takes no message (receive maximum 0)".to_owned());
@@ -232,7 +255,13 @@ fn answer_5(ack: &v5::ConnAck) -> Incoming {
             Incoming::Denied(Denial::Login)
         }
         Code::BadClientId | Code::ClientIdentifierNotValid => Incoming::Denied(Denial::ClientId),
-        code => Incoming::Denied(Denial::Other(with(&format!("{code:?}"), said))),
+        Code::QoSNotSupported => Incoming::Denied(Denial::Other(with(NO_ACKNOWLEDGEMENTS, said))),
+        Code::UseAnotherServer | Code::ServerMoved => {
+            let there = elsewhere.map_or("another host".to_owned(), shown);
+            let meant = format!("it sends us to {there}: set mqtt.host and mqtt.port");
+            Incoming::Denied(Denial::Other(with(&meant, said)))
+        }
+        code => Incoming::Denied(Denial::Other(with(&plainly(&code), said))),
     }
 }
 
@@ -288,6 +317,37 @@ mod tests {
         let Some(Ok(Incoming::Closing(text))) = told.first() else { panic!("{told:?}") };
         assert!(text.contains("client id") && text.contains("a\\u{1b}b"), "{text}");
         assert!(!text.contains(['\u{1b}', '\n']));
+    }
+
+    #[test]
+    fn refusals_of_version_5_are_words_with_what_to_do() {
+        for (answer, expected) in [
+            // Maximum QoS 0, granted and refused.
+            (&b"\x20\x05\x00\x00\x02\x24\x00"[..], "allow QoS 1"),
+            (b"\x20\x03\x00\x9b\x00", "allow QoS 1"),
+            (b"\x20\x03\x00\x89\x00", "server busy"),
+            (b"\x20\x03\x00\x8a\x00", "banned"),
+            (b"\x20\x03\x00\x97\x00", "quota exceeded"),
+            (b"\x20\x03\x00\x9d\x00", "set mqtt.host"),
+            (b"\x20\x08\x00\x9c\x05\x1c\x00\x02b2", "sends us to b2: set mqtt.host"),
+            (b"\x20\x03\x00\x9f\x00", "connection rate exceeded"),
+        ] {
+            let heard = all(Spoken::V5, answer);
+            let Some(Ok(Incoming::Denied(Denial::Other(said)))) = heard.first() else {
+                panic!("{answer:?}: {heard:?}")
+            };
+            assert!(said.contains(expected), "{said}");
+        }
+        let heard = all(Spoken::V5, b"\xe0\x01\x9b");
+        assert!(format!("{heard:?}").contains("allow QoS 1"), "{heard:?}");
+        let heard = all(Spoken::V5, b"\x40\x03\x00\x05\x99");
+        assert!(format!("{heard:?}").contains("payload format invalid"), "{heard:?}");
+    }
+
+    #[test]
+    fn a_keep_alive_of_zero_is_none() {
+        let heard = all(Spoken::V5, b"\x20\x06\x00\x00\x03\x13\x00\x00");
+        assert_eq!(heard, [Ok(Incoming::Accepted(Limits::NONE))]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::backoff::Backoff;
 use super::bans::Bans;
 use super::echo::Echo;
 use super::link::{End, Link};
-use super::outbox::{Kind, Outbox, Sending};
+use super::outbox::{Kind, Outbox, Sending, States};
 use super::packet::{Incoming, Limits, Spoken};
 use super::ways::Ways;
 use super::{Command, Message, MqttSettings, Report, Statistics, said_of};
@@ -26,6 +26,9 @@ use verge_messages::{Presence, Topic};
 const TICK: Duration = Duration::from_millis(50);
 /// Longest wait for the last words of a connection to leave.
 const GOODBYE: Duration = Duration::from_secs(1);
+/// How long states wait in a session whose predecessor ended on a message: the spool's windows, which are
+/// given once it is open, go before what may end it again.
+const WINDOWS_FIRST: Duration = Duration::from_secs(2);
 /// A session that has lasted so long is a good one.
 const QUIET: Duration = Duration::from_secs(60);
 
@@ -254,8 +257,12 @@ impl Worker {
 
     /// Sends what waits, as far as it may go ahead.
     fn pump(&mut self, session: &mut Session, now: Instant) -> Result<(), End> {
-        let most = if self.careful { 1 } else { session.limits.in_flight };
-        while let Some(mut sending) = self.outbox.next(most) {
+        let (most, states) = match self.careful {
+            true if session.since.elapsed() < WINDOWS_FIRST => (1, States::Wait),
+            true => (1, States::Last),
+            false => (session.limits.in_flight, States::BeforeArrears),
+        };
+        while let Some(mut sending) = self.outbox.next(most, states) {
             let size = sending.message.payload.len();
             let topic = sending.message.topic.clone();
             // Topic, packet id, header, and properties of a byte.
@@ -272,7 +279,7 @@ impl Worker {
                 self.set_aside(&sending);
                 continue;
             }
-            if self.bans.forbid(&topic, size, now) {
+            if self.bans.forbid(&self.family(&topic), size, now) {
                 self.set_aside(&sending);
                 continue;
             }
@@ -285,6 +292,15 @@ impl Worker {
             sent?;
         }
         Ok(())
+    }
+
+    /// Under which name a topic is set aside: its own, and for discovery one for all, of which a broker
+    /// takes each or none.
+    fn family(&self, topic: &str) -> String {
+        if topic.starts_with(&self.settings.root) {
+            return topic.to_owned();
+        }
+        format!("{}/#", topic.split('/').next().unwrap_or_default())
     }
 
     /// Whether the connection is to end, and everything is delivered or the time is up.

@@ -48,6 +48,7 @@ impl Worker {
 
     fn acknowledged(&mut self, session: &mut Session, sent: Sending, outcome: Acknowledged) {
         let (topic, size) = (&sent.message.topic, sent.message.payload.len());
+        let family = self.family(topic);
         let key = match sent.kind {
             Kind::Window { key } => Some(key),
             Kind::Presence | Kind::State => None,
@@ -67,9 +68,9 @@ impl Worker {
             }
             Acknowledged::Refused(reason) => {
                 self.statistics.refused.fetch_add(1, Ordering::Relaxed);
-                if self.bans.refused(topic, Instant::now()) {
+                if self.bans.refused(&family, Instant::now()) {
                     log::error!(
-                        "the broker refuses {topic}: {reason}; allow {} to publish there. Windows \
+                        "the broker refuses {family}: {reason}; allow {} to publish there. Windows \
                          stay in the spool",
                         self.settings.who()
                     );
@@ -82,8 +83,8 @@ impl Worker {
         {
             return;
         }
-        if self.bans.taken(topic, size) {
-            log::info!("the broker takes {topic} again");
+        if self.bans.taken(&family, size) {
+            log::info!("the broker takes {family} again");
         }
         if sent.kind != Kind::Presence {
             self.statistics.delivered.fetch_add(1, Ordering::Relaxed);
@@ -151,7 +152,7 @@ impl Worker {
         if (is_closed || is_told) && self.outbox.in_flight() > 0 {
             self.careful = true;
             if let Some(message) = alone {
-                let (topic, size) = (message.topic.clone(), message.payload.len());
+                let (topic, size) = (self.family(&message.topic), message.payload.len());
                 match self.bans.closed_on(&topic, size, Instant::now()) {
                     Some(0) => log::error!(
                         "the broker closes the connection on {topic}: it is set aside for a while. \

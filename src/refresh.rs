@@ -102,7 +102,7 @@ mod tests {
             let begin = Duration::from_secs(600) * outage;
             (0..4).for_each(|turn| refresh.note(turn != 1, begin + INTERVAL * turn));
             refresh.note_gap();
-            assert_eq!(refresh.gap(INTERVAL), None);
+            assert!(refresh.gap(INTERVAL).is_none_or(|gap| gap <= INTERVAL * 2));
         }
     }
 }

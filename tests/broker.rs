@@ -298,7 +298,7 @@ fn tls_with_certificates_of_both_sides() {
             let tls = Some(Tls::load(&files).expect("right files"));
             let host = "localhost".into();
             let local = MqttSettings::local(port, "verge/k109f");
-            let outcome = probe(&MqttSettings { host, tls, version, ..local }, &[]);
+            let outcome = probe(&MqttSettings { host, tls, version, ..local }, &[], 2000);
             assert_eq!(outcome.is_ok(), accepted, "{outcome:?}");
         }
     }

@@ -15,6 +15,8 @@ use std::time::Duration;
 use verge::daemon::publish::{MqttSettings, MqttVersion, Tls, TlsFiles, probe};
 
 const WINDOWS: [Duration; 1] = [Duration::from_secs(60)];
+/// Bytes that a window has.
+const SIZE: usize = 2000;
 
 fn settings(port: u16) -> MqttSettings {
     MqttSettings { version: MqttVersion::Auto, ..MqttSettings::local(port, "verge/words") }
@@ -23,7 +25,7 @@ fn settings(port: u16) -> MqttSettings {
 fn try_fake(manners: Manners) -> Result<String, String> {
     let broker = FakeBroker::start(manners);
     let credentials = Some(("box7".to_owned(), "secret".to_owned()));
-    probe(&MqttSettings { credentials, ..settings(broker.port) }, &WINDOWS)
+    probe(&MqttSettings { credentials, ..settings(broker.port) }, &WINDOWS, SIZE)
 }
 
 #[test]
@@ -64,7 +66,7 @@ fn it_fails_where_nothing_would_arrive_and_says_why() {
         assert!(!reason.contains("secret"), "{reason}");
         assert!(!reason.contains("Error("), "{reason}");
     }
-    let reason = probe(&settings(1), &WINDOWS).expect_err("nobody is there");
+    let reason = probe(&settings(1), &WINDOWS, SIZE).expect_err("nobody is there");
     assert!(reason.contains("127.0.0.1 refuses the connection"), "{reason}");
 }
 
@@ -86,7 +88,7 @@ fn a_stranger_at_the_port_is_named() {
                 open.push(stream);
             }
         });
-        let reason = probe(&settings(port), &WINDOWS).expect_err("no broker");
+        let reason = probe(&settings(port), &WINDOWS, SIZE).expect_err("no broker");
         assert!(reason.contains(words), "{reason}");
     }
 }
@@ -156,7 +158,7 @@ fn certificates_as_guides_make_them() {
         let files = TlsFiles { ca: Some(folder.path().join("ca.crt")), identity: None };
         let tls = Some(Tls::load(&files).expect("certificates"));
         let at = |tls| MqttSettings { host: "localhost".into(), tls, ..settings(port) };
-        let outcome = probe(&at(tls), &[]);
+        let outcome = probe(&at(tls), &[], SIZE);
         match (outcome, words) {
             (Ok(_), None) => {}
             (Err(reason), Some(words)) => {
@@ -168,7 +170,7 @@ fn certificates_as_guides_make_them() {
             }
             (outcome, _) => panic!("{what}: {outcome:?}"),
         }
-        let reason = probe(&at(None), &[]).expect_err("TLS is wanted");
+        let reason = probe(&at(None), &[], SIZE).expect_err("TLS is wanted");
         assert!(reason.contains("TLS"), "{what}: {reason}");
     }
 }
@@ -177,7 +179,8 @@ fn certificates_as_guides_make_them() {
 fn tls_where_there_is_none_is_told() {
     let broker = FakeBroker::start(Manners::default());
     let tls = Some(Tls::load(&TlsFiles::default()).expect("public authorities"));
-    let reason = probe(&MqttSettings { tls, ..settings(broker.port) }, &[]).expect_err("no TLS");
+    let reason =
+        probe(&MqttSettings { tls, ..settings(broker.port) }, &[], SIZE).expect_err("no TLS");
     assert!(reason.contains("TLS"), "{reason}");
 }
 
@@ -200,7 +203,7 @@ fn the_access_list_of_a_real_broker() {
         (MqttVersion::V3, "acknowledges verge/words/density/60s and throws it away"),
         (MqttVersion::Auto, "refuses verge/words/density/60s"),
     ] {
-        let outcome = probe(&MqttSettings { version, ..settings(port) }, &WINDOWS);
+        let outcome = probe(&MqttSettings { version, ..settings(port) }, &WINDOWS, SIZE);
         let reason = outcome.expect_err("the list forbids it");
         assert!(reason.contains(words), "{reason}");
     }

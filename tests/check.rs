@@ -196,6 +196,13 @@ fn cases() -> Vec<Case> {
         denied("nobody subscribes", Manners { reason: Some(("density/", 0x10)), ..v5() }, "nobody"),
         denied("closed on a topic", Manners { closes_on: Some("density/"), ..v5() }, "closes"),
         denied("never acknowledged", Manners { ignores: Some("density/"), ..v5() }, "acknowledge"),
+        denied(
+            "packets too large",
+            Manners { properties: vec![0x27, 0, 0, 4, 176], ..v5() },
+            "1200",
+        ),
+        denied("too large, untold", Manners { closes_from: Some(1200), ..v3() }, "max_packet_size"),
+        denied("no QoS 1", Manners { properties: vec![0x24, 0], ..v5() }, "allow QoS 1"),
     ]
 }
 
@@ -311,8 +318,10 @@ fn a_slow_camera_is_told_with_its_period() {
     std::fs::write(&file, lines.collect::<Vec<_>>().join("\n")).expect("written");
     let (_, said) = check(&file);
     let failed = said.lines().find(|line| line.starts_with("FAIL  measurement:"));
-    let period = failed.is_some_and(|line| line.contains("set camera.interval_s = 20"));
-    assert!(period && !said.contains("frozen"), "{said}");
+    let advised = failed.and_then(|line| line.split("set camera.interval_s = ").nth(1));
+    let period = advised.and_then(|rest| rest.split(',').next()?.parse::<u32>().ok());
+    // A loaded machine asks less often, and sees a change late.
+    assert!(period.is_some_and(|s| (18..=40).contains(&s)) && !said.contains("frozen"), "{said}");
 }
 
 #[test]

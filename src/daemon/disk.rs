@@ -26,7 +26,7 @@ impl Display for Words<'_> {
             // A reason of ours says more than its kind.
             _ if self.error.get_ref().is_some() => return Display::fmt(self.error, f),
             (ErrorKind::NotFound, false) => "there is no such file or folder",
-            (ErrorKind::NotFound, true) => "its folder is not there: make it, or name another place",
+            (ErrorKind::NotFound, true) => "its folder is not there: make its folder, or name another place",
             (ErrorKind::PermissionDenied, false) => {
                 "this user may not read it: give it to the user that verge runs as (chown verge), and let \
                  that user into its folder"
@@ -63,7 +63,7 @@ mod tests {
     #[test]
     fn the_words_name_the_reason_and_a_remedy_and_no_number() {
         for (error, reading, writing) in [
-            (2, "no such file", "make it"),
+            (2, "no such file", "make its folder"),
             (13, "chown verge", "chown -R verge"),
             (20, "no folder", "in its way"),
             (21, "name a file", "name a file"),

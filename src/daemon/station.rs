@@ -3,13 +3,23 @@
 //! Owns the frame that passes from one to the other, and which camera is asked. Reads no
 //! configuration: `assemble` does.
 
-use super::capture::{Captured, Source, SourceSettings, StreamCounts, advice};
+use super::capture::{Captured, Source, SourceSettings, StreamCounts};
 use super::exit::Failure;
 use super::frame::Frame;
 use super::line::{Line, Observer};
 use crate::refresh::Refresh;
 use crate::sensor::Outcome;
 use std::time::{Duration, Instant};
+
+/// What to do about a camera that has a picture to measure less often than it is asked.
+pub fn advice(period: Duration, interval: Duration) -> String {
+    let whole = period.as_secs_f64().round().max(1.0);
+    format!(
+        "the camera has a new picture each {whole:.0} s and is asked each {} s, so that windows have too \
+         few of them: set camera.interval_s = {whole:.0}, or make the camera faster",
+        interval.as_secs_f64()
+    )
+}
 
 /// How often a camera has a new picture.
 #[derive(Clone, Debug, PartialEq, Eq)]

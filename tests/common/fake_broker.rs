@@ -122,6 +122,9 @@ fn serve(mut stream: &TcpStream, shared: &Mutex<Manners>, seen: &Mutex<Seen>) ->
     let note = || seen.lock().expect("unpoisoned");
     let (kind, body) = packet(&mut stream)?;
     assert_eq!(kind, 0x10, "CONNECT comes first");
+    if shared.lock().expect("unpoisoned").closes_from.is_some_and(|most| body.len() > most) {
+        return None;
+    }
     // Length and letters of MQTT, then the version and the flags.
     let (version, flags) = (body[6], body[7]);
     note().connects.push((Instant::now(), version));

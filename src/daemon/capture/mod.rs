@@ -77,16 +77,6 @@ pub enum CaptureError {
     Device(#[from] DeviceError),
 }
 
-/// What to do about a camera that has a picture to measure less often than it is asked.
-pub fn advice(period: Duration, interval: Duration) -> String {
-    let whole = period.as_secs_f64().round().max(1.0);
-    format!(
-        "the camera has a new picture each {whole:.0} s and is asked each {} s, so that windows have too \
-         few of them: set camera.interval_s = {whole:.0}, or make the camera faster",
-        interval.as_secs_f64()
-    )
-}
-
 /// What became of a stream's frames since start, beside those that were measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamCounts {

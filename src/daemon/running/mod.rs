@@ -12,14 +12,13 @@ mod road;
 mod takeover;
 
 use super::board::Driven;
-use super::capture::advice;
 use super::clock::{self, Step, Watch};
 use super::config::Config;
 use super::exit::Failure;
 use super::outlet::Outlet;
 use super::publish::payload::status_name;
 use super::reload::Candidate;
-use super::station::Station;
+use super::station::{Station, advice};
 use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
 use crate::health::Actions;

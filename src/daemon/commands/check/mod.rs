@@ -9,14 +9,13 @@ pub(super) mod folders;
 use crate::alarm::Alarm;
 use crate::daemon::address::masked;
 use crate::daemon::assemble::{broker, first_picture, open_line};
-use crate::daemon::capture::advice;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::line::Line;
 use crate::daemon::offset::Offset;
 use crate::daemon::output::WholeFile;
 use crate::daemon::publish::{self, payload::status_name};
-use crate::daemon::station::{Pace, Station};
+use crate::daemon::station::{Pace, Station, advice};
 use crate::health::Event;
 use std::borrow::Cow;
 use std::path::Path;
@@ -34,6 +33,9 @@ const KEYS: Duration = Duration::from_secs(12);
 const NEW: Duration = Duration::from_secs(70);
 /// Longest interval whose pictures are waited for.
 const LONGEST_WATCHED: Duration = Duration::from_secs(30);
+
+/// Bytes that no window's message goes below: of the whole, and of each lane.
+const WINDOW_BYTES: (usize, usize) = (400, 400);
 
 /// How long a system that has just started has until all must pass: network, clock and camera
 /// come one after the other.
@@ -71,6 +73,8 @@ fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
         return report.finish();
     };
     let line = open_line(&config);
+    let lanes = line.as_ref().map_or(1, |line| line.preset().table().lanes.len());
+    let size = WINDOW_BYTES.0 + lanes * WINDOW_BYTES.1;
     let mut line = report.line("model and table", line, |line| {
         let (model, table) = line.describe();
         format!("{model}; {table}")
@@ -116,10 +120,8 @@ fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
         report.line("metrics", metrics, String::clone);
     }
     let connected = broker(&config).and_then(|settings| {
-        publish::probe(&settings, &config.window_lengths()).map_err(|reason| Failure::Broker {
-            host: settings.host.clone(),
-            port: settings.port,
-            reason,
+        publish::probe(&settings, &config.window_lengths(), size).map_err(|reason| {
+            Failure::Broker { host: settings.host.clone(), port: settings.port, reason }
         })
     });
     report.line("broker", connected, |said| {

@@ -138,6 +138,10 @@ fn read_3(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
 
 fn read_5(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
     use rumqttc::v5::mqttbytes::Error;
+    if let Some(&[0xe0, 1, code]) = bytes.get(..3) {
+        // A goodbye with a reason alone (MQTT 5, 3.14.2.2.1), for which the crate waits for more.
+        *bytes = BytesMut::from(&[0xe0, 2, code, 0][..]);
+    }
     match bytes.get(..4) {
         // A broker of 3.1.1 answers in its own way, CONNACK of two bytes, even where it takes the
         // session or denies the login: it is spoken to in its version, and says which then.

@@ -5,7 +5,7 @@
 //! over, and once more what `presence` said before.
 
 use super::link::{End, Link};
-use super::packet::{Acknowledged, Incoming, Limits, Spoken};
+use super::packet::{Acknowledged, Denial, Incoming, Limits, Spoken};
 use super::ways::Ways;
 use super::{Message, MqttSettings, said_of};
 use std::time::{Duration, Instant};
@@ -14,17 +14,47 @@ use verge_messages::{Presence, Topic};
 /// Longest wait for an acknowledgement, and for what was published to come back.
 const ANSWER: Duration = Duration::from_secs(5);
 
-/// Tries all that `verge run` would do, and describes what is there.
+/// Tries all that `verge run` would do, with windows of at least `size` bytes, and describes what is
+/// there.
 ///
 /// # Errors
 /// Why density would not arrive.
-pub fn probe(settings: &MqttSettings, windows: &[Duration]) -> Result<String, String> {
-    match attempt(settings, windows, true) {
+pub fn probe(settings: &MqttSettings, windows: &[Duration], size: usize) -> Result<String, String> {
+    let outcome = match attempt(settings, windows, size, true) {
         // Some brokers close on a subscription that they do not allow.
-        Err(Fault::Reading) => {}
-        outcome => return outcome.map_err(Fault::reason),
+        Err(Fault::Reading) => attempt(settings, windows, size, false),
+        outcome => outcome,
+    };
+    let (spoken, said) = outcome.map_err(Fault::reason)?;
+    if spoken == Spoken::V3 {
+        carries(settings, size)?;
     }
-    attempt(settings, windows, false).map_err(Fault::reason)
+    Ok(said)
+}
+
+/// Whether a broker takes packets of so many bytes: 3.1.1 has no words for its limit. The first packet is
+/// one of that size, by a will that a goodbye makes void.
+fn carries(settings: &MqttSettings, size: usize) -> Result<(), String> {
+    let mut payload = Presence::Offline.text().as_bytes().to_vec();
+    payload.resize(size, b' ');
+    let topic = Topic::Presence.under(&settings.root);
+    let will = Message { topic, payload, retain: false };
+    let entered = enter_with(settings, Spoken::V3, &will).map(|(mut link, _)| link.disconnect());
+    match entered {
+        Err(Refusal::Closed) => Err(too_large(None, size)),
+        // A broker that answers differently now has not been asked for its limit.
+        Ok(()) | Err(Refusal::Denied(_) | Refusal::Ended(_)) => Ok(()),
+    }
+}
+
+fn too_large(limit: Option<usize>, size: usize) -> String {
+    let limit = limit.map_or("smaller packets alone".to_owned(), |limit| {
+        format!("packets of {limit} bytes at most")
+    });
+    format!(
+        "the broker takes {limit}, and a window has {size} bytes or more: it would wait in the spool. \
+         Raise the broker's limit (mosquitto: max_packet_size, message_size_limit)"
+    )
 }
 
 enum Fault {
@@ -57,56 +87,85 @@ struct Trial<'a> {
     came: Vec<(String, Vec<u8>)>,
 }
 
-fn attempt(settings: &MqttSettings, windows: &[Duration], reads: bool) -> Result<String, Fault> {
-    let (spoken, link, limits) = enter(settings)?;
+fn attempt(
+    settings: &MqttSettings,
+    windows: &[Duration],
+    size: usize,
+    reads: bool,
+) -> Result<(Spoken, String), Fault> {
+    let (spoken, mut link, limits) = enter(settings)?;
+    if limits.packet < size {
+        link.disconnect();
+        return Err(Fault::Told(too_large(Some(limits.packet), size)));
+    }
     let mut trial = Trial { settings, spoken, link, limits, came: Vec::new() };
     let outcome = trial.run(windows, reads);
     trial.link.disconnect();
-    outcome
+    outcome.map(|said| (spoken, said))
+}
+
+/// Why one way does not lead in.
+enum Refusal {
+    Denied(Denial),
+    Closed,
+    Ended(String),
+}
+
+/// Tries one way in.
+fn enter_with(
+    settings: &MqttSettings,
+    spoken: Spoken,
+    will: &Message,
+) -> Result<(Link, Limits), Refusal> {
+    let id = format!("{}-check", settings.client_id());
+    let end = |end: End| match end {
+        End::Closed => Refusal::Closed,
+        end => Refusal::Ended(end.reason()),
+    };
+    let mut link = Link::open(settings, spoken, &id, will.clone()).map_err(end)?;
+    let until = Instant::now() + super::link::CONNECT;
+    loop {
+        match link.next(until.saturating_duration_since(Instant::now())).map_err(end)? {
+            Some(Incoming::Accepted(limits)) => return Ok((link, limits)),
+            Some(Incoming::Denied(denial)) => return Err(Refusal::Denied(denial)),
+            _ if Instant::now() >= until => {
+                return Err(Refusal::Ended("no answer to our first packet".to_owned()));
+            }
+            _ => {}
+        }
+    }
 }
 
 /// Finds the way in.
 fn enter(settings: &MqttSettings) -> Result<(Spoken, Link, Limits), Fault> {
     let mut ways = Ways::new(settings.version);
-    let id = format!("{}-check", settings.client_id());
     let topic = Topic::Presence.under(&settings.root);
     let mut closed = 0;
     loop {
         let (spoken, retain) = ways.now();
         let payload = Presence::Offline.text().into();
         let will = Message { topic: topic.clone(), payload, retain };
-        let mut link = Link::open(settings, spoken, &id, will)?;
-        let until = Instant::now() + super::link::CONNECT;
-        loop {
-            match link.next(until.saturating_duration_since(Instant::now())) {
-                Ok(Some(Incoming::Accepted(limits))) => {
-                    let retains = limits.retains && retain;
-                    return Ok((spoken, link, Limits { retains, ..limits }));
-                }
-                Ok(Some(Incoming::Denied(denial))) => {
-                    if ways.denied(&denial) {
-                        break;
-                    }
-                    return Err(Fault::Told(said_of(&denial, settings, spoken)));
-                }
-                Err(End::Closed) if closed < 3 => {
-                    closed += 1;
-                    ways.closed();
-                    break;
-                }
-                Err(End::Closed) => {
-                    return Err(Fault::Told(
-                        "it closes each connection in place of an answer; does it want TLS \
-                         (mqtt.tls = true), or a certificate of the box?"
-                            .to_owned(),
-                    ));
-                }
-                Err(end) => return Err(end.into()),
-                Ok(_) if Instant::now() >= until => {
-                    return Err(Fault::Told("no answer to our first packet".to_owned()));
-                }
-                Ok(_) => {}
+        match enter_with(settings, spoken, &will) {
+            Ok((link, limits)) => {
+                let retains = limits.retains && retain;
+                return Ok((spoken, link, Limits { retains, ..limits }));
             }
+            Err(Refusal::Denied(denial)) if ways.denied(&denial) => {}
+            Err(Refusal::Denied(denial)) => {
+                return Err(Fault::Told(said_of(&denial, settings, spoken)));
+            }
+            Err(Refusal::Closed) if closed < 3 => {
+                closed += 1;
+                ways.closed();
+            }
+            Err(Refusal::Closed) => {
+                return Err(Fault::Told(
+                    "it closes each connection in place of an answer; does it want TLS \
+                     (mqtt.tls = true), or a certificate of the box?"
+                        .to_owned(),
+                ));
+            }
+            Err(Refusal::Ended(reason)) => return Err(Fault::Told(reason)),
         }
     }
 }

@@ -11,6 +11,9 @@ use verge_desk::{Batch, Failure};
 /// Nodes left to tract that are named one by one.
 const NAMED: usize = 10;
 
+/// Classes of the data set that most published detectors have learned.
+const COCO_CLASSES: usize = 80;
+
 /// Its arguments.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
@@ -106,6 +109,17 @@ fn sidecar(file: &Path, inspection: &Inspection) -> String {
         Some(head) => format!("head = \"{}\" # guessed from the shape\n", head.kind.name()),
         None => "# head = \"...\" # TO FILL IN: the head's name\n".to_owned(),
     };
+    // Of other numbers of classes than COCO's, the first is a guess that loads.
+    let classes = match &inspection.head {
+        Some(head) if head.kind != HeadKind::End2end && head.classes != COCO_CLASSES => {
+            "# TO FILL IN: the score columns that are vehicles\n[[class]]\nindex = 0\nname = \"car\"\n"
+        }
+        _ => {
+            "# TO FILL IN: the score columns that are vehicles (COCO's are given)\n\
+             [[class]]\nindex = 2\nname = \"car\"\n\n[[class]]\nindex = 5\nname = \"bus\"\n\n\
+             [[class]]\nindex = 7\nname = \"truck\"\n"
+        }
+    };
     // An export that suppresses by itself needs no more of it.
     let iou = match &inspection.head {
         Some(head) if head.kind == HeadKind::End2end => "1.0",
@@ -116,9 +130,7 @@ fn sidecar(file: &Path, inspection: &Inspection) -> String {
          [input]\nwidth_px = {width}\nheight_px = {height}\n\
          # TO FILL IN: as the model was trained\nchannels = \"rgb\"\nmean = [0.0, 0.0, 0.0]\n\
          std = [255.0, 255.0, 255.0]\n\n\
-         # TO FILL IN: the score columns that are vehicles (COCO's are given)\n\
-         [[class]]\nindex = 2\nname = \"car\"\n\n[[class]]\nindex = 5\nname = \"bus\"\n\n\
-         [[class]]\nindex = 7\nname = \"truck\"\n\n\
+         {classes}\n\
          [thresholds]\nscore = 0.3\niou = {iou}\n",
         inspection.sha256
     )

@@ -1,7 +1,7 @@
-//! What the allocator keeps of memory that was given back.
+//! What stays in memory and is not needed: buffers that were given back, code that ran once.
 //!
-//! Owns settings of glibc's. Left to itself it learns from each large buffer that is given back:
-//! later ones of that size then lie among small ones, where holes stay, and a box that got one
+//! Owns settings of glibc's allocator. Left to itself it learns from each large buffer that is given
+//! back: later ones of that size then lie among small ones, where holes stay, and a box that got one
 //! picture of 16 megapixels never had that memory again. Other C libraries give large buffers back.
 
 /// Smallest buffer that has pages of its own, bytes: pictures from 5 megapixels on. The largest
@@ -23,7 +23,7 @@ pub(super) fn give_back_large_buffers() {
 }
 
 /// Does `load`, which takes much memory and keeps little of it; the rest goes back to the system
-/// when it is done.
+/// when it is done, with the code that did it.
 pub(super) fn loading<T>(load: impl FnOnce() -> T) -> T {
     #[cfg(target_env = "gnu")]
     set(libc::M_MMAP_THRESHOLD, LARGE_FOR_LOADING);
@@ -34,7 +34,49 @@ pub(super) fn loading<T>(load: impl FnOnce() -> T) -> T {
         // SAFETY: it takes a number and locks the allocator; nothing that is in use is touched.
         let _ = unsafe { libc::malloc_trim(0) };
     }
+    #[cfg(target_os = "linux")]
+    forget_code();
     made
+}
+
+/// Takes the program's code and constants out of the process's memory. What runs again comes back,
+/// mostly from the system's cache of files: a few hundred pages for each picture's work, where
+/// reading and planning a model had touched most of the program.
+#[cfg(target_os = "linux")]
+fn forget_code() {
+    use std::ffi::{c_int, c_void};
+
+    unsafe extern "C" fn first(info: *mut libc::dl_phdr_info, _: usize, _: *mut c_void) -> c_int {
+        // SAFETY: the loader's description of the program, which stays as long as the program.
+        let (base, headers) = unsafe {
+            let info = &*info;
+            (info.dlpi_addr, std::slice::from_raw_parts(info.dlpi_phdr, info.dlpi_phnum.into()))
+        };
+        // SAFETY: it takes a number and gives one.
+        let page = usize::try_from(unsafe { libc::sysconf(libc::_SC_PAGESIZE) }).unwrap_or(0);
+        if page == 0 {
+            return 1;
+        }
+        for header in headers {
+            if header.p_type != libc::PT_LOAD || header.p_flags & libc::PF_W != 0 {
+                continue;
+            }
+            // Only pages that lie in such a segment as a whole.
+            let start = (base + header.p_vaddr) as usize;
+            let end = (start + header.p_filesz as usize) / page * page;
+            let start = start.next_multiple_of(page);
+            if start < end {
+                let pages = start as *mut c_void;
+                // SAFETY: pages of the file that nobody may write; the next one who touches them
+                // gets them from the file again.
+                let _ = unsafe { libc::madvise(pages, end - start, libc::MADV_DONTNEED) };
+            }
+        }
+        // The first one is the program; libraries come behind it.
+        1
+    }
+    // SAFETY: `first` is called with what it takes, and does not unwind.
+    let _ = unsafe { libc::dl_iterate_phdr(Some(first), std::ptr::null_mut()) };
 }
 
 #[cfg(target_env = "gnu")]

@@ -180,7 +180,7 @@ impl SubnetState {
                 let to_byte = move |value: f32| {
                     // As a comparison, so that what is not a number becomes 0 and not a panic.
                     let value = (value * unit).clamp(-zero, 255.0 - zero);
-                    ((value + ROUND) - ROUND + zero) as u8
+                    ((value + ROUND) - ROUND + zero) as i32 as u8
                 };
                 to_pixels(view.as_slice::<f32>()?, self.net.input_bytes(index), shape, to_byte);
             }
@@ -271,15 +271,25 @@ impl OpState for SubnetState {
 }
 
 /// Planes into pixels.
-fn to_pixels<T: Copy, U>(planes: &[T], pixels: &mut [U], shape: Shape, each: impl Fn(T) -> U) {
+fn to_pixels<T: Copy, U: Copy + Default>(
+    planes: &[T],
+    pixels: &mut [U],
+    shape: Shape,
+    each: impl Fn(T) -> U,
+) {
     let (count, channels) = (shape.height * shape.width, shape.channels);
+    // First all values of a piece of a plane, many at once; then each to its pixel.
+    let mut made = [U::default(); BLOCK];
     for (block, pixels) in pixels.chunks_mut(BLOCK * channels).enumerate() {
         let first = block * BLOCK;
         let here = pixels.len() / channels;
         for channel in 0..channels {
             let plane = &planes[channel * count + first..][..here];
-            for (pixel, &value) in pixels.chunks_exact_mut(channels).zip(plane) {
-                pixel[channel] = each(value);
+            for (made, &value) in made.iter_mut().zip(plane) {
+                *made = each(value);
+            }
+            for (pixel, &value) in pixels.chunks_exact_mut(channels).zip(&made) {
+                pixel[channel] = value;
             }
         }
     }

@@ -52,8 +52,12 @@ fn main() {
     println!("archive made in {:.1} s", begun.elapsed().as_secs_f64());
     let begun = Instant::now();
     let (archive, out) = (folder.join("archive"), folder.join("report"));
+    // All of them: a report stops at today, and the year ends in 2027.
+    let last = store::date(FIRST_DAY + days - 1);
     let report = Report::parse_from([
         "report".as_ref(),
+        "--to".as_ref(),
+        last.as_ref(),
         "--archive".as_ref(),
         archive.as_os_str(),
         "--out".as_ref(),

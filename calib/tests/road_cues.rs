@@ -2,7 +2,8 @@
 //! other cues, on a made camera.
 
 use mvcalib::camera::{Camera, Lens, Pose};
-use nalgebra::{Rotation3, Vector3};
+use mvcalib::road::dashes::{Dashes, NoDashes, Picture, find};
+use nalgebra::{Rotation3, Vector2, Vector3};
 use serde_json::json;
 use std::path::Path;
 use std::process::Command;
@@ -156,4 +157,113 @@ fn a_standard_that_the_other_cues_contradict_or_leave_open_is_named() {
     let (said, warnings) = told("hk-lane", &[]);
     let first = warnings.first().map_or("", String::as_str);
     assert!(first.contains("(hk-lane): nothing else checks these 6.00 m"), "{said}");
+}
+
+/// The freeway of `tests/data`: a picture, and its lanes' sides as lane lines.
+fn freeway(folder: &Path) -> (std::path::PathBuf, std::path::PathBuf) {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/freeway");
+    let text = std::fs::read_to_string(data.join("lanes.json")).unwrap();
+    let file: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let side = |points: &[serde_json::Value]| json!({"label": "line", "shape_type": "linestrip", "points": points});
+    let sides = |k: usize| {
+        let points = file["shapes"][k]["points"].as_array().unwrap();
+        let (one, other) = points.split_at(points.len() / 2);
+        [side(one), side(other)]
+    };
+    let shapes: Vec<_> = [0, 1].into_iter().flat_map(sides).collect();
+    let lines = json!({"imageWidth": 720, "imageHeight": 480, "shapes": shapes});
+    std::fs::write(folder.join("lines.json"), lines.to_string()).unwrap();
+    let mut frames: Vec<_> =
+        std::fs::read_dir(data.join("frames")).unwrap().map(|e| e.unwrap().path()).collect();
+    frames.sort();
+    let backdrop = mvcalib::desk::backdrop::Backdrop::of(&frames).unwrap();
+    std::fs::write(folder.join("empty.png"), &backdrop.png).unwrap();
+    (folder.join("lines.json"), folder.join("empty.png"))
+}
+
+#[test]
+fn dashes_are_found_along_the_lane_lines_of_a_picture_and_calibrate() {
+    let folder = tempfile::tempdir().unwrap();
+    let (lines, picture) = freeway(folder.path());
+    let out = folder.path().join("k.json");
+    let calibrate = |dashes: &str, picture: &Path| {
+        let _ = std::fs::remove_file(&out);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mvcalib"));
+        command.args(["calibrate", "--method", "road", "--image-size", "720x480"]);
+        command.args(["--dashes", dashes, "--picture"]).arg(picture);
+        command.arg("--lane-lines").arg(&lines).arg("--out").arg(&out);
+        let ended = command.output().unwrap();
+        (ended.status.code(), String::from_utf8_lossy(&ended.stderr).into_owned())
+    };
+    // 12 ft and 36 ft: 14.64 m. The road's edge is solid.
+    let (code, said) = calibrate("14.64", &picture);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("dashes of lane line") && said.contains("it is solid"), "{said}");
+    let written: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    let f = written["f"].as_f64().unwrap();
+    assert!((f / 760.0).ln().abs() < 0.15 && written["trust"] == "ok", "{said}");
+    // A picture without dashes, another size, and a pitch that is none.
+    let blank = folder.path().join("blank.png");
+    image::RgbImage::from_pixel(720, 480, image::Rgb([90; 3])).save(&blank).unwrap();
+    let (code, said) = calibrate("14.64", &blank);
+    assert!(code == Some(65) && said.contains("lane line 1: no paint is seen"), "{said}");
+    let small = folder.path().join("small.png");
+    image::RgbImage::new(320, 240).save(&small).unwrap();
+    let (code, said) = calibrate("14.64", &small);
+    assert!(code == Some(65) && said.contains("picture size"), "{said}");
+    for (wrong, expected) in [("xx-lane", "known are"), ("0.1", "0.5 to 100 m")] {
+        let (code, said) = calibrate(wrong, &picture);
+        assert!(code == Some(64) && said.contains(expected) && !out.exists(), "{said}");
+    }
+}
+
+/// A picture of the made camera's road, with one line of paint along X = 1: `is_paint` of metres
+/// along it.
+fn painted(is_paint: impl Fn(f64) -> bool) -> Vec<u8> {
+    let camera = camera();
+    let [width, height] = camera.image_size;
+    let mut rgb = Vec::new();
+    for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
+        let share = (0..9).filter(|k| {
+            let part = |k: u32| (f64::from(k) + 0.5) / 3.0;
+            let at = Vector2::new(f64::from(u) + part(k % 3), f64::from(v) + part(k / 3));
+            let p = camera.back_project(&at, 0.0);
+            p.is_some_and(|p| (p.x - 1.0).abs() < 0.12 && is_paint(p.y))
+        });
+        let noise = (u * 7 + v * 13) % 5;
+        rgb.extend([(90 + noise + 12 * share.count() as u32) as u8; 3]);
+    }
+    rgb
+}
+
+fn dashes(is_paint: impl Fn(f64) -> bool) -> Result<Dashes, NoDashes> {
+    let camera = camera();
+    let rgb = painted(is_paint);
+    // Drawn a little beside the paint.
+    let line: Vec<_> = (0..9).map(|k| [1.05, 20.0 + 5.0 * f64::from(k)]).collect();
+    let line: Vec<_> = seen(&line).into_iter().map(Vector2::from).collect();
+    find(&Picture { rgb: &rgb, size: camera.image_size }, &line, &camera)
+}
+
+#[test]
+fn dashes_of_one_pitch_are_found_where_they_are() {
+    let found = dashes(|y| y.rem_euclid(9.0) < 3.0).unwrap();
+    assert!(found.middles.len() >= 3, "{found:?}");
+    assert!((found.pitch_m / 9.0).ln().abs() < 0.03, "{found:?}");
+    for p in &found.middles {
+        let y = camera().back_project(p, 0.0).unwrap().y.rem_euclid(9.0);
+        assert!((y - 1.5).abs() < 0.4, "{y}");
+    }
+}
+
+#[test]
+fn what_shows_no_dashes_is_refused() {
+    assert_eq!(dashes(|_| true), Err(NoDashes::Solid));
+    assert!(matches!(dashes(|_| false), Err(NoDashes::Unpainted { .. })));
+    // Patches at no pitch, and two dashes alone.
+    let between = |y: f64, all: &[(f64, f64)]| all.iter().any(|(a, b)| y > *a && y < *b);
+    let patches = dashes(|y| between(y, &[(22.0, 25.0), (27.0, 30.0), (41.0, 44.0)]));
+    assert!(matches!(patches, Err(NoDashes::Irregular { .. })), "{patches:?}");
+    let two = dashes(|y| between(y, &[(22.0, 25.0), (31.0, 34.0)]));
+    assert!(matches!(two, Err(NoDashes::Irregular { found: 2, in_a_row: 2 })), "{two:?}");
 }

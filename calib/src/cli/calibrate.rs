@@ -2,7 +2,7 @@
 //!
 //! Owns reading the inputs, the progress on a terminal, and the summary.
 
-use super::residuals;
+use super::{dashes, residuals};
 use indicatif::{ProgressBar, ProgressStyle};
 use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Calibration;
@@ -74,6 +74,13 @@ pub struct Arguments {
     /// Boxes of a detector over many pictures, as `verge detect` writes them (road).
     #[arg(long)]
     detections: Option<PathBuf>,
+    /// Look for the dashes of the lane lines in --picture: from the start of one to the start of
+    /// the next, as a standard such as us-lane or in metres (road).
+    #[arg(long, value_name = "STANDARD|M", requires = "picture", requires = "lane_lines")]
+    dashes: Option<String>,
+    /// A picture without traffic, of the camera's pose in the lane lines (road).
+    #[arg(long, requires = "dashes")]
+    picture: Option<PathBuf>,
     /// Width of the lanes, m (road).
     #[arg(long, value_name = "M", value_parser = super::metres)]
     lane_width: Option<f64>,
@@ -173,7 +180,7 @@ impl Arguments {
         let lanes = self.lane_lines.as_ref().map(|path| road_cues::lanes(path, size));
         let marks = self.lengths.as_ref().map(|path| Marks::read(path)).transpose()?;
         let boxes = self.detections.as_ref().map(|path| road_cues::boxes(path));
-        let cues = Cues {
+        let mut cues = Cues {
             marks: marks.as_ref().map_or_else(Vec::new, Marks::cues),
             rectangles: marks.as_ref().map_or_else(Vec::new, Marks::rectangle_cues),
             lanes: lanes.transpose()?.unwrap_or_default(),
@@ -188,6 +195,9 @@ impl Arguments {
                  lane runs is known"
                     .into(),
             ));
+        }
+        if let (Some(pitch), Some(picture)) = (&self.dashes, &self.picture) {
+            dashes::add(&mut cues, picture, pitch, size)?;
         }
         Ok(cues)
     }
@@ -226,6 +236,9 @@ impl Arguments {
 impl Arguments {
     fn cues(&self, expected: [u32; 2]) -> Result<RoadCues> {
         let mut cues = RoadCues::default();
+        if self.dashes.is_some() {
+            return Err(Error::Usage("--dashes are observations of --method road".into()));
+        }
         if let Some(path) = &self.lane_lines {
             let file = LabelFile::read(path)?;
             let actual = file.image_size();

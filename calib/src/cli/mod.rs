@@ -5,6 +5,7 @@
 
 mod calibrate;
 mod compare;
+mod dashes;
 mod desk;
 mod manual;
 mod report;

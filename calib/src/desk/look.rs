@@ -9,6 +9,7 @@ use super::answer::{
 };
 use super::drawing::{Drawing, Lane, Px};
 use super::strips::Strip;
+use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::calibration::{Calibration, VehicleMatch};
 use crate::joint::{self, untold::untold};
@@ -70,6 +71,15 @@ pub fn look(drawing: &Drawing, boxes: &[BoxCue]) -> Look {
     answer.lanes = drawing.lanes.iter().map(|l| lane_look(drawing, l, known)).collect();
     answer.lanes_problem = known.and_then(|k| whole_problem(drawing, k));
     answer
+}
+
+/// The camera of a drawing, whatever its trust.
+///
+/// # Errors
+/// What the fit says.
+pub fn camera(drawing: &Drawing, boxes: &[BoxCue]) -> Result<Camera> {
+    let found = measure(drawing, boxes, &mut Look::default())?.ok_or_else(nothing)?;
+    Ok(*found.camera())
 }
 
 /// The camera of a drawing with everything that may be saved.

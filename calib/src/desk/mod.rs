@@ -7,6 +7,7 @@
 //! strips     lanes between neighbouring lines
 //! answer     what the page shows of a measured drawing
 //! look       a drawing measured: camera, errors, residuals, lanes and what is wrong with them
+//! dashes     the dashes of the drawn lines in the picture without traffic
 //! program    the program `verge` beside this one, one task at a time
 //! collect    pictures of a camera, collected by it
 //! traffic    vehicles of the pictures in the lanes, found by it
@@ -24,6 +25,7 @@ pub mod answer;
 pub mod audit;
 pub mod backdrop;
 pub mod collect;
+pub mod dashes;
 pub mod drawing;
 pub mod look;
 mod page;

@@ -8,7 +8,7 @@ use verge_desk::page::{File, SCRIPT};
 pub const INDEX: &str = include_str!("page/index.html");
 
 /// What it asks for, beside what all pages share.
-const FILES: [File; 13] = [
+const FILES: [File; 14] = [
     ("main.js", SCRIPT, include_str!("page/main.js")),
     ("types.js", SCRIPT, include_str!("page/types.js")),
     ("server.js", SCRIPT, include_str!("page/server.js")),
@@ -17,6 +17,7 @@ const FILES: [File; 13] = [
     ("pictures.js", SCRIPT, include_str!("page/pictures.js")),
     ("collect.js", SCRIPT, include_str!("page/collect.js")),
     ("road.js", SCRIPT, include_str!("page/road.js")),
+    ("dashes.js", SCRIPT, include_str!("page/dashes.js")),
     ("lanes.js", SCRIPT, include_str!("page/lanes.js")),
     ("traffic.js", SCRIPT, include_str!("page/traffic.js")),
     ("car.js", SCRIPT, include_str!("page/car.js")),

@@ -6,6 +6,7 @@
 use super::audit::{Answer, Audit};
 use super::backdrop::{Backdrop, Shift, name_of};
 use super::collect::{Camera, Collection, Pace};
+use super::dashes::{LineDashes, dashes};
 use super::drawing::Drawing;
 use super::look::look;
 use super::page;
@@ -144,12 +145,17 @@ impl Desk {
         match path {
             "api/look" => json_of(&look(&drawing, &self.traffic.cue())),
             "api/save" => answer(self.save(&drawing)),
+            "api/dashes" => answer(self.dashes(&drawing)),
             "api/count" => answer(
                 self.prepared()
                     .and_then(|p| count(&drawing, &self.traffic, &p.backdrop, &self.site)),
             ),
             _ => Reply::missing(),
         }
+    }
+
+    fn dashes(&self, drawing: &Drawing) -> Result<Vec<LineDashes>> {
+        dashes(drawing, &self.traffic.cue(), &self.prepared()?.backdrop)
     }
 
     fn audited(&self, begun: Result<()>) -> Reply {

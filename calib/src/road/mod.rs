@@ -3,6 +3,7 @@
 //! Owns everything that is measured on the road plane. Does not own the vehicles' key
 //! points (`paper`, `joint`) nor the files' formats (`files`, and the core's `lane`).
 
+pub mod dashes;
 pub mod fit;
 pub mod judge;
 pub mod lane_axis;

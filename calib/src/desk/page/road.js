@@ -1,6 +1,7 @@
 // Step 2: what is known of the road, and the camera that follows from it.
 
 import { carFigure } from "./car.js";
+import { dashes } from "./dashes.js";
 import { el, metres, percent } from "./elements.js";
 import { COLOURS, dots, errorColour, knob, label, middle, stroke } from "./paint.js";
 
@@ -254,6 +255,7 @@ function lines(desk) {
           el("input", { type: "checkbox", onchange: () => desk.store.edit((d) => { d.apart = d.apart.filter((p) => p[0] !== pair[0] || p[1] !== pair[1]); }) }),
           el("span", { text: `no lane between ${place.get(pair[0])} and ${place.get(pair[1])}` }))),
     ),
+    ...dashes(desk),
   ];
 }
 

@@ -39,6 +39,8 @@ export const site = () => get("api/site");
 export const look = (drawing) => post("api/look", drawing);
 /** @param {Drawing} drawing @returns {Promise<import("./types.js").Saved>} */
 export const save = (drawing) => post("api/save", drawing);
+/** @param {Drawing} drawing @returns {Promise<import("./types.js").LineDashes[]>} */
+export const dashes = (drawing) => post("api/dashes", drawing);
 /** @param {Drawing} drawing @returns {Promise<import("./types.js").Counts>} */
 export const count = (drawing) => post("api/count", drawing);
 /** @returns {Promise<import("./types.js").TrafficState>} */

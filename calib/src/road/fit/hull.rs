@@ -49,8 +49,10 @@ impl Standing<'_> {
         let [width, length, height] = self.size;
         let [along, half, up] = self.body.points[index / 2];
         let aside = if index.is_multiple_of(2) { 0.5 } else { -0.5 } * half * width;
-        let p = middle + self.towards_rear * ((along - 0.5) * length) + self.across * aside;
-        self.view.project(Vector3::new(p.x, p.y, up * height))
+        let along = (along - 0.5) * length;
+        let x = middle.x + self.towards_rear.x * along + self.across.x * aside;
+        let y = middle.y + self.towards_rear.y * along + self.across.y * aside;
+        self.view.project(Vector3::new(x, y, up * height))
     }
 
     /// Left, right, top and low of all points, px, and which they are.

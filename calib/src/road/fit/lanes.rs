@@ -26,8 +26,9 @@ const LOST_M: f64 = 50.0;
 /// One lane on the road.
 #[derive(Clone, Debug)]
 pub struct OnRoad {
-    /// Its middle, near to far, m.
-    pub middle: [Vector2<f64>; MIDDLE],
+    right: Vec<Vector2<f64>>,
+    /// The left line as a smooth curve.
+    left: Vec<Vector2<f64>>,
     /// Width at each point of the right line, m; below 0 where that point lies beyond the
     /// ends of the left line.
     pub widths: Vec<f64>,
@@ -39,26 +40,23 @@ impl OnRoad {
         let ground = |line: &[Vector2<f64>]| -> Option<Vec<Vector2<f64>>> {
             line.iter().map(|&p| view.ground(p)).collect()
         };
-        let (right, left) = (ground(&lane.right)?, ground(&lane.left)?);
-        let (curve, other) = (smooth(&left), smooth(&right));
-        let (a, b) = (resample(&curve), resample(&other));
-        let middle = std::array::from_fn(|k| (a[k] + b[k]) * 0.5);
-        let widths = right.iter().map(|&p| distance(p, &curve)).collect();
-        Some(OnRoad { middle, widths })
+        let right = ground(&lane.right)?;
+        let left = smooth(&ground(&lane.left)?);
+        let widths = right.iter().map(|&p| distance(p, &left)).collect();
+        Some(OnRoad { right, left, widths })
     }
 
-    /// Length of its middle, m.
-    pub fn length_m(&self) -> f64 {
-        self.middle.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
-    }
-
-    /// Near, middle and far places with the lane's direction there. The ends are drawn in by a
-    /// twentieth, so that a stretch about them stays on the lane.
-    pub fn places(&self) -> [(Vector2<f64>, Vector2<f64>); 3] {
-        [1, MIDDLE / 2, MIDDLE - 2].map(|k| {
-            let along = self.middle[k + 1] - self.middle[k - 1];
-            (self.middle[k], along.try_normalize(1e-9).unwrap_or(Vector2::y()))
-        })
+    /// Its middle.
+    pub fn middle(&self) -> Middle {
+        let (a, b) = (resample(&self.left), resample(&smooth(&self.right)));
+        let points = std::array::from_fn(|k| (a[k] + b[k]) * 0.5);
+        let edges = std::array::from_fn(|k| {
+            let [from, to]: [Vector2<f64>; 2] = [points[k], points[k + 1]];
+            let length = (to - from).norm() + 1e-9;
+            let (at, unit) = ((from + to) * 0.5, (to - from) / length);
+            Edge { at: [at.x, at.y], unit: [unit.x, unit.y], reach: length.powi(4) / 16.0 + 1e-4 }
+        });
+        Middle { points, edges }
     }
 
     /// Mean width and the widths with those beyond the ends set to it, m.
@@ -71,6 +69,52 @@ impl OnRoad {
             return (mean, all);
         }
         (mean, self.widths.iter().map(|w| if *w > 0.0 { *w } else { mean }).collect())
+    }
+}
+
+/// The middle of a lane.
+#[derive(Clone, Debug)]
+pub struct Middle {
+    /// Points near to far, m.
+    points: [Vector2<f64>; MIDDLE],
+    edges: [Edge; MIDDLE - 1],
+}
+
+/// One edge of a middle.
+#[derive(Clone, Copy, Debug)]
+struct Edge {
+    at: [f64; 2],
+    unit: [f64; 2],
+    /// Within what distance it counts fully, to the fourth power.
+    reach: f64,
+}
+
+impl Middle {
+    /// Its length, m.
+    pub fn length_m(&self) -> f64 {
+        self.points.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
+    }
+
+    /// Near, middle and far places with the lane's direction there. The ends are drawn in by a
+    /// twentieth, so that a stretch about them stays on the lane.
+    pub fn places(&self) -> [(Vector2<f64>, Vector2<f64>); 3] {
+        [1, MIDDLE / 2, MIDDLE - 2].map(|k| {
+            let along = self.points[k + 1] - self.points[k - 1];
+            (self.points[k], along.try_normalize(1e-9).unwrap_or(Vector2::y()))
+        })
+    }
+
+    /// The lane's direction near a place: that of its edges, the nearest most.
+    pub fn direction(&self, near: Vector2<f64>) -> Vector2<f64> {
+        let (mut x, mut y) = (0.0, 0.0);
+        for edge in &self.edges {
+            let (dx, dy) = (edge.at[0] - near.x, edge.at[1] - near.y);
+            let away = dx * dx + dy * dy;
+            let weight = 1.0 / (away * away + edge.reach);
+            x += edge.unit[0] * weight;
+            y += edge.unit[1] * weight;
+        }
+        Vector2::new(x, y).try_normalize(1e-12).unwrap_or(Vector2::y())
     }
 }
 
@@ -157,11 +201,15 @@ pub fn smooth(line: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
         let (b, c) = (line[k], line[k + 1]);
         let a = if k > 0 { line[k - 1] } else { b * 2.0 - c };
         let d = if k + 2 < n { line[k + 2] } else { c * 2.0 - b };
+        // By coordinates: with vectors a development build spends its time in checks.
+        let of = |[a, b, c, d]: [f64; 4]| {
+            [2.0 * b, c - a, 2.0 * a - 5.0 * b + 4.0 * c - d, 3.0 * b - a - 3.0 * c + d]
+        };
+        let (x, y) = (of([a.x, b.x, c.x, d.x]), of([a.y, b.y, c.y, d.y]));
         for piece in 0..PIECES {
             let t = piece as f64 / PIECES as f64;
-            let quadratic = a * 2.0 - b * 5.0 + c * 4.0 - d;
-            let cubic = b * 3.0 - a - c * 3.0 + d;
-            curve.push((b * 2.0 + (c - a) * t + quadratic * (t * t) + cubic * (t * t * t)) * 0.5);
+            let at = |p: [f64; 4]| 0.5 * (p[0] + t * (p[1] + t * (p[2] + t * p[3])));
+            curve.push(Vector2::new(at(x), at(y)));
         }
     }
     curve.push(line[n - 1]);
@@ -193,21 +241,25 @@ fn resample(line: &[Vector2<f64>]) -> [Vector2<f64>; MIDDLE] {
 /// lies more than a metre beyond an end.
 fn distance(p: Vector2<f64>, line: &[Vector2<f64>]) -> f64 {
     let last = line.len() - 2;
-    let mut best = (f64::INFINITY, false);
-    for (k, w) in line.windows(2).enumerate() {
-        let edge = w[1] - w[0];
-        let length = edge.norm().max(1e-9);
-        let mut t = (p - w[0]).dot(&edge) / (length * length);
+    let mut best = (f64::INFINITY, 0.0, 0.0);
+    let mut from = line[0];
+    for (k, &to) in line[1..].iter().enumerate() {
+        let (ex, ey) = (to.x - from.x, to.y - from.y);
+        let squared = (ex * ex + ey * ey).max(1e-18);
+        let mut t = ((p.x - from.x) * ex + (p.y - from.y) * ey) / squared;
         if k > 0 {
             t = t.max(0.0);
         }
         if k < last {
             t = t.min(1.0);
         }
-        let away = (w[0] + edge * t - p).norm_squared();
+        let (dx, dy) = (from.x + ex * t - p.x, from.y + ey * t - p.y);
+        let away = dx * dx + dy * dy;
         if away < best.0 {
-            best = (away, t * length < -1.0 || (t - 1.0) * length > 1.0);
+            best = (away, t, squared);
         }
+        from = to;
     }
-    if best.1 { -best.0.sqrt() } else { best.0.sqrt() }
+    let (away, t, length) = (best.0.sqrt(), best.1, best.2.sqrt());
+    if t * length < -1.0 || (t - 1.0) * length > 1.0 { -away } else { away }
 }

@@ -5,7 +5,7 @@
 
 use super::bodies::{ALL, BODIES};
 use super::hull::Footing;
-use super::lanes::OnRoad;
+use super::lanes::Middle;
 use super::traffic::{SHARED, Seen, Shared, Supports, Traffic, log_size};
 use super::view::View;
 use nalgebra::{Matrix2, Vector2};
@@ -73,7 +73,7 @@ struct Pair {
 
 impl Mixture {
     /// Nothing known but the shares, with the noise at a camera.
-    pub fn new(traffic: &Traffic, view: &View, lanes: &[Option<OnRoad>], shared: &Shared) -> Self {
+    pub fn new(traffic: &Traffic, view: &View, lanes: &[Option<Middle>], shared: &Shared) -> Self {
         let total: f64 = ALL.iter().map(|b| b.share).sum();
         let mut mixture = Mixture {
             noise: Vec::new(),
@@ -102,7 +102,7 @@ impl Mixture {
         &mut self,
         traffic: &Traffic,
         view: &View,
-        lanes: &[Option<OnRoad>],
+        lanes: &[Option<Middle>],
         shared: &Shared,
     ) {
         let footings = traffic.footings(view, lanes);
@@ -140,7 +140,7 @@ impl Mixture {
         &mut self,
         traffic: &Traffic,
         view: &View,
-        lanes: &[Option<OnRoad>],
+        lanes: &[Option<Middle>],
         shared: &Shared,
         heat: f64,
         learn: bool,
@@ -216,7 +216,7 @@ impl Mixture {
         &self,
         traffic: &Traffic,
         view: &View,
-        lanes: &[Option<OnRoad>],
+        lanes: &[Option<Middle>],
         shared: &Shared,
         bounding: &mut Bounding,
         out: &mut Vec<f64>,
@@ -285,7 +285,7 @@ impl Mixture {
     pub fn width_excess(
         traffic: &Traffic,
         view: &View,
-        lanes: &[Option<OnRoad>],
+        lanes: &[Option<Middle>],
         shared: &Shared,
     ) -> Option<f64> {
         let footings = traffic.footings(view, lanes);

@@ -53,7 +53,7 @@ use crate::files::stated::{StatedError, StatedErrors, Uncertainty};
 use crate::road::length_error::{CameraCovariance, LengthError, UncertainCamera};
 use crate::trust::{self, Reason, Trust};
 use doubt::Fitted;
-use lanes::OnRoad;
+use lanes::{Middle, OnRoad};
 use nalgebra::{Matrix6, Vector2, Vector3};
 use problem::Problem;
 use solve::Optimum;
@@ -346,7 +346,8 @@ type Places = [(Vector2<f64>, Vector2<f64>); 3];
 
 /// Where errors are stated: along the lanes, or where the lengths are.
 fn places(cues: &Cues, problem: &Problem<'_>, view: &View) -> Option<Places> {
-    let on_road: Vec<OnRoad> = cues.lanes.iter().filter_map(|l| OnRoad::of(l, view)).collect();
+    let middle = |l: &LaneCue| Some(OnRoad::of(l, view)?.middle());
+    let on_road: Vec<Middle> = cues.lanes.iter().filter_map(middle).collect();
     if let Some(longest) = on_road.iter().max_by(|a, b| a.length_m().total_cmp(&b.length_m())) {
         return Some(longest.places());
     }

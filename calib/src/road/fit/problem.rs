@@ -4,7 +4,7 @@
 //! the cues' own residuals (see `marks`, `lanes`, `mixture`) nor the steps (see `solve`).
 
 use super::cues::{Cues, LANE_EACH_M, LANE_WIDTH_M, STATED_WIDTH_SD_M};
-use super::lanes::{self, OnRoad};
+use super::lanes::{self, Middle, OnRoad};
 use super::marks;
 use super::mixture::{Bounding, Mixture};
 use super::prior::Prior;
@@ -47,6 +47,10 @@ pub fn shared_of(theta: &Theta) -> Shared {
     theta.fixed_rows::<SHARED>(CAMERA).into_owned()
 }
 
+fn middles(lanes: &[Option<OnRoad>]) -> Vec<Option<Middle>> {
+    lanes.iter().map(|lane| lane.as_ref().map(OnRoad::middle)).collect()
+}
+
 impl<'a> Problem<'a> {
     /// The cues over pictures of this size; `None` where labelled vehicles leave the camera
     /// open.
@@ -76,8 +80,13 @@ impl<'a> Problem<'a> {
         View::new(camera, self.image_size)
     }
 
-    pub(super) fn lanes(&self, view: &View) -> Vec<Option<OnRoad>> {
+    fn lanes(&self, view: &View) -> Vec<Option<OnRoad>> {
         self.cues.lanes.iter().map(|l| OnRoad::of(l, view)).collect()
+    }
+
+    /// The lanes' middles, on which the boxes stand.
+    pub(super) fn middles(&self, view: &View) -> Vec<Option<Middle>> {
+        middles(&self.lanes(view))
     }
 
     /// Takes the noise of marks and lanes at a camera; `None` where a cue is above its horizon.
@@ -107,22 +116,32 @@ impl<'a> Problem<'a> {
     /// Whitened residuals of all cues but the boxes; `None` where one is above the horizon.
     pub(super) fn cue_residuals(&self, camera: &Unknowns, out: &mut Vec<f64>) -> Option<()> {
         let view = self.view(camera);
+        self.cue_residuals_on(&view, &self.lanes(&view), camera, out)
+    }
+
+    fn cue_residuals_on(
+        &self,
+        view: &View,
+        lanes: &[Option<OnRoad>],
+        camera: &Unknowns,
+        out: &mut Vec<f64>,
+    ) -> Option<()> {
         for ((mark, white), weight) in
             self.cues.marks.iter().zip(&self.mark_white).zip(&self.mark_weight)
         {
-            let r = white * marks::log_ratios(mark, &view)? * weight.sqrt();
+            let r = white * marks::log_ratios(mark, view)? * weight.sqrt();
             out.extend(r.iter());
         }
         for ((cue, white), weight) in
             self.cues.rectangles.iter().zip(&self.rectangle_white).zip(&self.rectangle_weight)
         {
-            out.extend((white * marks::rectangle(cue, &view)? * weight.sqrt()).iter());
+            out.extend((white * marks::rectangle(cue, view)? * weight.sqrt()).iter());
         }
         let mean = self.cues.lane_width_m.unwrap_or(LANE_WIDTH_M[0]);
         let mut widths = Vec::new();
-        for (lane, held) in self.cues.lanes.iter().zip(&self.lane_held) {
+        for (lane, held) in lanes.iter().zip(&self.lane_held) {
             let Some(held) = held else { continue };
-            let (r, width) = held.residuals(&OnRoad::of(lane, &view)?);
+            let (r, width) = held.residuals(lane.as_ref()?);
             out.extend(r.iter());
             widths.push(mean * (width / mean).ln());
         }
@@ -143,12 +162,13 @@ impl<'a> Problem<'a> {
         self.evaluations += 1;
         out.clear();
         let camera = camera_of(theta);
-        self.cue_residuals(&camera, out)?;
+        let view = self.view(&camera);
+        let lanes = self.lanes(&view);
+        self.cue_residuals_on(&view, &lanes, &camera, out)?;
         if let Some(mixture) = mixture {
             let shared = shared_of(theta);
             out.extend(shared.iter().zip(SHARED_SD).map(|(z, sd)| z / sd));
-            let view = self.view(&camera);
-            let lanes = self.lanes(&view);
+            let lanes = middles(&lanes);
             mixture.residuals(&self.traffic, &view, &lanes, &shared, &mut self.bounding, out);
         }
         Some(())

@@ -132,7 +132,7 @@ impl Problem<'_> {
             let heat = heats.get(round).copied().unwrap_or(1.0);
             if let Some(mixture) = &mut mixture {
                 let view = self.view(&camera);
-                let (lanes, shared) = (self.lanes(&view), shared_of(&theta));
+                let (lanes, shared) = (self.middles(&view), shared_of(&theta));
                 if round == 2 || round == 5 {
                     mixture.hold(&self.traffic, &view, &lanes, &shared);
                 }
@@ -163,7 +163,7 @@ impl Problem<'_> {
         for tilt in [0.06, 0.2, 0.4] {
             let mut at = theta;
             at[TILT] = f64::max(tilt, least);
-            let Some((found, _)) = self.alternate(at, None, &free, 6, &[]) else { continue };
+            let Some((found, _)) = self.alternate(at, None, &free, 1, &[]) else { continue };
             let mut r = Vec::new();
             if self.cue_residuals(&camera_of(&found), &mut r).is_none() {
                 continue;
@@ -173,14 +173,14 @@ impl Problem<'_> {
                 best = Some((cost, found));
             }
         }
-        let (_, mut theta) = best?;
+        let (mut theta, _) = self.alternate(best?.1, None, &free, 5, &[])?;
         if !self.traffic.seen.is_empty()
             && self.cues.marks.is_empty()
             && self.cues.height_m.is_none()
         {
             for _ in 0..3 {
                 let view = self.view(&camera_of(&theta));
-                let lanes = self.lanes(&view);
+                let lanes = self.middles(&view);
                 let excess = Mixture::width_excess(&self.traffic, &view, &lanes, &Shared::zeros());
                 let Some(excess) = excess else { break };
                 theta[LOG_HEIGHT] -= excess.clamp(-1.0, 1.0);
@@ -226,7 +226,7 @@ impl Problem<'_> {
     /// A mixture that knows nothing yet but the noise at these unknowns.
     fn mixture(&self, theta: &Theta) -> Mixture {
         let view = self.view(&camera_of(theta));
-        Mixture::new(&self.traffic, &view, &self.lanes(&view), &shared_of(theta))
+        Mixture::new(&self.traffic, &view, &self.middles(&view), &shared_of(theta))
     }
 
     /// Which candidate is best, each under every candidate's noise: a camera must not win by
@@ -254,7 +254,7 @@ impl Problem<'_> {
             let shared = shared_of(theta);
             cost += 0.5 * shared.iter().zip(SHARED_SD).map(|(z, sd)| (z / sd).powi(2)).sum::<f64>();
             let view = self.view(&camera_of(theta));
-            let lanes = self.lanes(&view);
+            let lanes = self.middles(&view);
             cost -= mixture.clone().expect(&self.traffic, &view, &lanes, &shared, 1.0, false);
         }
         cost
@@ -266,7 +266,7 @@ impl Problem<'_> {
         self.reweigh(&camera)?;
         if let Some(mixture) = &mut mixture {
             let view = self.view(&camera);
-            let (lanes, shared) = (self.lanes(&view), shared_of(&theta));
+            let (lanes, shared) = (self.middles(&view), shared_of(&theta));
             mixture.expect(&self.traffic, &view, &lanes, &shared, 1.0, true);
         }
         let mut r = Vec::new();

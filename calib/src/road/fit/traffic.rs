@@ -7,7 +7,7 @@
 use super::bodies::{ALL, BODIES, class_index};
 use super::cues::{BoxCue, LaneCue};
 use super::hull::{Footing, Support, log_box, log_box_by};
-use super::lanes::{MIDDLE, OnRoad};
+use super::lanes::Middle;
 use super::view::View;
 use crate::road::lane_table::contains;
 use nalgebra::{SVector, Vector2};
@@ -130,12 +130,12 @@ impl Traffic {
     }
 
     /// Where each box stands; `None` above the horizon or on a lane that is.
-    pub fn footings(&self, view: &View, lanes: &[Option<OnRoad>]) -> Vec<Option<[Footing; 2]>> {
+    pub fn footings(&self, view: &View, lanes: &[Option<Middle>]) -> Vec<Option<[Footing; 2]>> {
         let of = |seen: &Seen| {
-            let middle = &lanes[seen.lane].as_ref()?.middle;
+            let middle = lanes[seen.lane].as_ref()?;
             let ground = view.ground(seen.foot)?;
-            let mut away = direction(middle, ground);
-            away = direction(middle, ground + away * (0.45 * USUAL_LENGTH_M));
+            let first = middle.direction(ground);
+            let away = middle.direction(ground + first * (0.45 * USUAL_LENGTH_M));
             let one = |toward| Footing { ground, away, toward };
             Some([one(true), one(false)])
         };
@@ -228,18 +228,6 @@ fn likely(log_class: [f64; BODIES]) -> [f64; BODIES] {
     std::array::from_fn(|k| {
         if prior(k) < top + NEGLIGIBLE.ln() { f64::NEG_INFINITY } else { log_class[k] }
     })
-}
-
-/// Direction of a lane near a place: its edges, the nearest most.
-fn direction(middle: &[Vector2<f64>; MIDDLE], at: Vector2<f64>) -> Vector2<f64> {
-    let mut sum = Vector2::zeros();
-    for w in middle.windows(2) {
-        let edge = w[1] - w[0];
-        let length = edge.norm() + 1e-9;
-        let away = ((w[0] + w[1]) * 0.5 - at).norm_squared();
-        sum += edge * (1.0 / (length * (away * away + length.powi(4) / 16.0 + 1e-4)));
-    }
-    sum.try_normalize(1e-12).unwrap_or(Vector2::y())
 }
 
 /// Boxes that are whole in the picture, large enough and not hidden below by a nearer one.

@@ -40,6 +40,8 @@ const INVERSE_STEPS: usize = 6;
 pub struct View {
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
+    /// Rotation and translation by rows.
+    rows: [[f64; 4]; 3],
     f: f64,
     centre: Vector2<f64>,
     half_width: f64,
@@ -58,9 +60,12 @@ impl View {
         let roll = Matrix3::new(cr, -sr, 0.0, sr, cr, 0.0, 0.0, 0.0, 1.0);
         let rotation = roll * level;
         let h = unknowns[LOG_HEIGHT].exp();
+        let translation = rotation * Vector3::new(0.0, 0.0, -h);
+        let row = |k: usize| [rotation[(k, 0)], rotation[(k, 1)], rotation[(k, 2)], translation[k]];
         View {
             rotation,
-            translation: rotation * Vector3::new(0.0, 0.0, -h),
+            translation,
+            rows: [row(0), row(1), row(2)],
             f: unknowns[LOG_F].exp(),
             centre: Vector2::new(0.5 * width, 0.5 * height),
             half_width: 0.5 * width,
@@ -78,32 +83,43 @@ impl View {
     /// The image point (px) of a point, x and y on the ground and z above the road, m. What
     /// lies behind the camera is held before it.
     pub fn project(&self, p: Vector3<f64>) -> Vector2<f64> {
-        let on_profile = Vector3::new(p.x, p.y, p.z - 0.5 * self.crest * p.y * p.y);
-        let q = self.rotation * on_profile + self.translation;
-        let xy = q.xy() * (self.f / q.z.max(MIN_DEPTH_M));
-        let bent = 1.0 + self.distortion * xy.norm_squared() / (self.half_width * self.half_width);
-        self.centre + xy * bent.max(MIN_SCALE)
+        // By coordinates: with vectors a development build spends its time in checks.
+        let z = p.z - 0.5 * self.crest * p.y * p.y;
+        let [u, v, depth] = self.rows.map(|[a, b, c, d]| a * p.x + b * p.y + c * z + d);
+        let scale = self.f / depth.max(MIN_DEPTH_M);
+        let (u, v) = (u * scale, v * scale);
+        let bent = 1.0 + self.distortion * (u * u + v * v) / (self.half_width * self.half_width);
+        let bent = bent.max(MIN_SCALE);
+        Vector2::new(self.centre.x + u * bent, self.centre.y + v * bent)
     }
 
     /// The road point (m) that is seen at an image point (px); `None` at and above the horizon.
     pub fn ground(&self, uv: Vector2<f64>) -> Option<Vector2<f64>> {
-        let mut q = (uv - self.centre) / self.half_width;
+        let (mut x, mut y) =
+            ((uv.x - self.centre.x) / self.half_width, (uv.y - self.centre.y) / self.half_width);
         if self.distortion != 0.0 {
-            let bent = q.norm();
+            let bent = (x * x + y * y).sqrt();
             let mut r = bent;
             for _ in 0..INVERSE_STEPS {
                 let slope = 1.0 + 3.0 * self.distortion * r * r;
                 if slope < 0.05 {
                     return None;
                 }
-                r -= (r * (1.0 + self.distortion * r * r) - bent) / slope;
+                let step = (r * (1.0 + self.distortion * r * r) - bent) / slope;
+                r -= step;
+                if step.abs() < 1e-14 {
+                    break;
+                }
             }
             if bent > 1e-12 {
-                q *= r / bent;
+                (x, y) = (x * r / bent, y * r / bent);
             }
         }
-        let ray = Vector3::new(q.x * self.half_width / self.f, q.y * self.half_width / self.f, 1.0);
-        let ray = self.rotation.tr_mul(&ray);
+        let widths = self.half_width / self.f;
+        let (x, y) = (x * widths, y * widths);
+        let [a, b, c] = &self.rows;
+        let along = |k: usize| a[k] * x + b[k] * y + c[k];
+        let ray = Vector3::new(along(0), along(1), along(2));
         if ray.z > -1e-6 {
             return None;
         }

@@ -10,7 +10,7 @@ use std::ops::ControlFlow;
 use tract_core::internal::*;
 use verge_kernels::{Net, QuantParams, Shape};
 
-/// Adding and subtracting it rounds values below 2^22 to the nearest even.
+/// Adding it rounds values below 2^22 to the nearest even, and leaves them in the last bits.
 const ROUND: f32 = 12_582_912.0;
 
 /// Pixels that are turned together, so that both sides stay in the first cache.
@@ -176,11 +176,13 @@ impl SubnetState {
         let view = tensor.try_as_plain_ram()?;
         match (entry.kind, quant) {
             (DatumType::F32, Some(quant)) => {
-                let (unit, zero) = (1.0 / quant.scale, f32::from(quant.zero_point));
+                let QuantParams { scale, zero_point } = quant;
+                let (unit, zero) = (1.0 / scale, f32::from(zero_point));
                 let to_byte = move |value: f32| {
-                    // As a comparison, so that what is not a number becomes 0 and not a panic.
-                    let value = (value * unit).clamp(-zero, 255.0 - zero);
-                    ((value + ROUND) - ROUND + zero) as i32 as u8
+                    // What is not a number becomes 0: `max` gives the other one.
+                    let value = (value * unit).max(-zero).min(255.0 - zero);
+                    // The sum's last bits are the whole number; a conversion takes twice as long.
+                    ((value + ROUND).to_bits() as u8).wrapping_add(zero_point)
                 };
                 to_pixels(view.as_slice::<f32>()?, self.net.input_bytes(index), shape, to_byte);
             }
@@ -271,25 +273,15 @@ impl OpState for SubnetState {
 }
 
 /// Planes into pixels.
-fn to_pixels<T: Copy, U: Copy + Default>(
-    planes: &[T],
-    pixels: &mut [U],
-    shape: Shape,
-    each: impl Fn(T) -> U,
-) {
+fn to_pixels<T: Copy, U>(planes: &[T], pixels: &mut [U], shape: Shape, each: impl Fn(T) -> U) {
     let (count, channels) = (shape.height * shape.width, shape.channels);
-    // First all values of a piece of a plane, many at once; then each to its pixel.
-    let mut made = [U::default(); BLOCK];
     for (block, pixels) in pixels.chunks_mut(BLOCK * channels).enumerate() {
         let first = block * BLOCK;
         let here = pixels.len() / channels;
         for channel in 0..channels {
             let plane = &planes[channel * count + first..][..here];
-            for (made, &value) in made.iter_mut().zip(plane) {
-                *made = each(value);
-            }
-            for (pixel, &value) in pixels.chunks_exact_mut(channels).zip(&made) {
-                pixel[channel] = value;
+            for (pixel, &value) in pixels.chunks_exact_mut(channels).zip(plane) {
+                pixel[channel] = each(value);
             }
         }
     }
@@ -303,17 +295,9 @@ fn to_planes<'a, T: Copy + 'a, U>(
     each: impl Fn(T) -> U,
 ) {
     let count = shape.height * shape.width;
-    let mut pixels = pixels;
-    let mut block: [&[T]; BLOCK] = [&[]; BLOCK];
-    for first in (0..count).step_by(BLOCK) {
-        let here = BLOCK.min(count - first);
-        for (place, pixel) in block[..here].iter_mut().zip(&mut pixels) {
-            *place = pixel;
-        }
-        for (channel, plane) in planes.chunks_exact_mut(count).enumerate() {
-            for (to, pixel) in plane[first..][..here].iter_mut().zip(&block) {
-                *to = each(pixel[channel]);
-            }
+    for (i, pixel) in pixels.enumerate() {
+        for (plane, &value) in planes.chunks_exact_mut(count).zip(pixel) {
+            plane[i] = each(value);
         }
     }
 }

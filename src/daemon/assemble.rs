@@ -81,6 +81,14 @@ pub fn open_recording(
     top_kmh: f32,
 ) -> Result<(Recorded, Line, Windows<Vec<Preset>>), Failure> {
     let recorded = Recorded::open_local(frames, interval, utc_offset_s)?;
+    // Before anything is refused for it.
+    if recorded.assumes_interval() {
+        log::warn!(
+            "neither names nor file times tell when the frames were taken: one each {} s is \
+             assumed (--interval)",
+            recorded.interval().as_secs_f64()
+        );
+    }
     let mut line = Line::open(settings)?;
     line.follow(top_kmh, recorded.interval());
     let presets = line.windows(windows, recorded.interval())?;

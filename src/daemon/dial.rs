@@ -6,7 +6,7 @@
 use super::foreign::shown;
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpStream, ToSocketAddrs};
-use std::sync::mpsc;
+use std::sync::{Mutex, PoisonError, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -53,8 +53,31 @@ fn alternating(found: Vec<SocketAddr>) -> Vec<SocketAddr> {
     }
 }
 
+/// Addresses that answered when one in front of them did not, the latest last: a camera is asked every
+/// few seconds, and would wait for the dead one each time.
+static ANSWERED: Mutex<Vec<SocketAddr>> = Mutex::new(Vec::new());
+/// Most of them.
+const MOST_ANSWERED: usize = 16;
+
+/// The addresses with those in front that answered before.
+fn sorted(addresses: &[SocketAddr], answered: &[SocketAddr]) -> Vec<SocketAddr> {
+    let mut sorted = addresses.to_vec();
+    sorted.sort_by_key(|address| !answered.contains(address));
+    sorted
+}
+
+/// Notes which address answered, and that those before it did not.
+fn note(tried: &[SocketAddr], address: Option<SocketAddr>) {
+    // A thread that panicked left the list whole.
+    let mut answered = ANSWERED.lock().unwrap_or_else(PoisonError::into_inner);
+    answered.retain(|known| !tried.contains(known) && Some(*known) != address);
+    answered.extend(address);
+    let excess = answered.len().saturating_sub(MOST_ANSWERED);
+    answered.drain(..excess);
+}
+
 /// Connects to the first of these addresses that answers, before `deadline`, which is at most
-/// `limit` away.
+/// `limit` away; first to one that answered before.
 ///
 /// # Errors
 /// What became of each address.
@@ -64,6 +87,8 @@ pub fn connect(
     limit: Duration,
 ) -> Result<TcpStream, String> {
     let mut faults: Vec<String> = Vec::new();
+    let several = addresses.len() > 1;
+    let addresses = sorted(addresses, &ANSWERED.lock().unwrap_or_else(PoisonError::into_inner));
     for (index, address) in addresses.iter().enumerate() {
         let mut rest = deadline.saturating_duration_since(Instant::now());
         if index + 1 < addresses.len() {
@@ -73,7 +98,12 @@ pub fn connect(
             break;
         }
         match TcpStream::connect_timeout(address, rest) {
-            Ok(stream) => return Ok(stream),
+            Ok(stream) => {
+                if several {
+                    note(&addresses[..index], Some(*address));
+                }
+                return Ok(stream);
+            }
             Err(error) => {
                 let ip = address.ip();
                 faults.push(match error.kind() {
@@ -85,6 +115,9 @@ pub fn connect(
                 });
             }
         }
+    }
+    if several {
+        note(&addresses, None);
     }
     faults.truncate(4);
     Err(faults.join("; "))
@@ -208,6 +241,14 @@ mod tests {
         let limit = Duration::from_secs(10);
         let stream = connect(&[dead, good], Instant::now() + limit, limit).expect("the good one");
         assert_eq!(stream.peer_addr().expect("connected"), good);
+        // And that once: from now on the good one is asked first.
+        let known = || ANSWERED.lock().expect("unpoisoned").clone();
+        assert_eq!(sorted(&[dead, good], &known()), [good, dead]);
+        // Until it is the one that does not answer.
+        note(&[good], Some(dead));
+        assert_eq!(sorted(&[good, dead], &known()), [dead, good]);
+        note(&[good, dead], None);
+        assert_eq!(sorted(&[good, dead], &known()), [good, dead]);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 
 use super::disk;
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// A file that could not be written.
@@ -17,6 +17,22 @@ pub struct WriteError {
     pub path: PathBuf,
     /// What the system says.
     pub source: std::io::Error,
+}
+
+/// Whether a file may take the place of what stands at `path`: of nothing, or of a plain file. It would
+/// replace a device as well, and cannot replace a folder.
+///
+/// # Errors
+/// What stands there.
+pub fn check_place(path: &Path) -> io::Result<()> {
+    match fs::metadata(path) {
+        Ok(there) if there.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
+        Ok(there) if !there.is_file() => {
+            let reason = "something that is not a plain file stands there: name another place";
+            Err(io::Error::new(io::ErrorKind::InvalidInput, reason))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// A file that appears under its name when it is finished.
@@ -34,6 +50,7 @@ impl WholeFile {
     /// # Errors
     /// [`WriteError`], as all that follow.
     pub fn create(path: &Path) -> Result<Self, WriteError> {
+        check_place(path).map_err(|source| WriteError { path: path.to_owned(), source })?;
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(".partial");
         let partial = path.with_file_name(name);
@@ -94,6 +111,30 @@ impl Drop for WholeFile {
     fn drop(&mut self) {
         if !self.finished {
             let _ = fs::remove_file(&self.partial);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neither_devices_nor_folders_are_replaced() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for (place, expected) in [
+            (Path::new("/dev/null"), "not a plain file"),
+            (folder.path(), "a folder has this name"),
+            (&folder.path().join("none/x"), "make its folder"),
+        ] {
+            let error = WholeFile::create(place).expect_err("no file").to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        let file = folder.path().join("x");
+        for text in ["one", "two"] {
+            let mut whole = WholeFile::create(&file).expect("a file");
+            whole.line(text).and_then(|()| whole.finish()).expect("written");
+            assert_eq!(fs::read_to_string(&file).expect("there"), format!("{text}\n"));
         }
     }
 }

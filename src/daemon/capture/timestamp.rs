@@ -243,7 +243,8 @@ fn by_day(path: &str) -> Option<Stamp> {
     None
 }
 
-/// Seconds since 1970, with milliseconds behind a dot, or milliseconds: the years 2001 to 2100.
+/// Seconds since 1970, with milliseconds behind a dot, or milli-, micro- or nanoseconds: the years 2001
+/// to 2100.
 fn since_1970(bytes: &[u8]) -> Option<UtcMs> {
     let digits = bytes.iter().take_while(|byte| byte.is_ascii_digit()).count();
     let value: i64 = std::str::from_utf8(bytes.get(..digits)?).ok()?.parse().ok()?;
@@ -256,6 +257,8 @@ fn since_1970(bytes: &[u8]) -> Option<UtcMs> {
             Some(UtcMs(value * 1000 + i64::from(milliseconds)))
         }
         13 if seconds.contains(&(value / 1000)) => Some(UtcMs(value)),
+        16 if seconds.contains(&(value / 1_000_000)) => Some(UtcMs(value / 1000)),
+        19 if seconds.contains(&(value / 1_000_000_000)) => Some(UtcMs(value / 1_000_000)),
         _ => None,
     }
 }
@@ -307,6 +310,8 @@ mod tests {
             ("1767600000.jpg", Some(0)),
             ("frame_1767600000.250.jpg", Some(250)),
             ("cam_1767600000250.jpg", Some(250)),
+            ("1767600000250000.jpg", Some(250)),
+            ("left_1767600000250000000.png", Some(250)),
             ("vehicle_01.jpg", None),
             ("20261305T080000Z.jpg", None),
             ("20260105T0800.jpg", None),

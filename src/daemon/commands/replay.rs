@@ -82,13 +82,6 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         args.utc_offset,
         args.top_speed,
     )?;
-    if recorded.assumes_interval() {
-        log::warn!(
-            "neither names nor file times tell when the frames were taken: one each {} s is \
-             assumed (--interval)",
-            recorded.interval().as_secs_f64()
-        );
-    }
     if let Following::TooSeldom { .. } | Following::TooShort { .. } = line.following() {
         // A recording of snapshots is not meant for more, one of a stream may be.
         let is_stream = recorded.interval() <= Duration::from_secs(2);

@@ -118,6 +118,11 @@ impl Config {
 
     /// Names that a template, a script or an address has left odd.
     fn check_names(&self) -> Result<(), (&'static str, String)> {
+        // With a zone or without.
+        let is_ipv6 = |host: &str| {
+            let address = host.split('%').next().unwrap_or_default();
+            address.parse::<std::net::Ipv6Addr>().is_ok()
+        };
         let odd_host = |host: &str| {
             if host.contains("://") {
                 Some("a name or an address alone, and mqtt.tls = true for mqtts://")
@@ -125,7 +130,7 @@ impl Config {
                 Some("it has a blank in it")
             } else if host.contains(['[', ']']) {
                 Some("leave the brackets away")
-            } else if host.contains(':') && host.parse::<std::net::Ipv6Addr>().is_err() {
+            } else if host.contains(':') && !is_ipv6(host) {
                 Some("give the port in mqtt.port")
             } else if host.is_empty() || host.contains(['/', '@']) {
                 Some("give a name or an address")
@@ -133,6 +138,12 @@ impl Config {
                 None
             }
         };
+        if self.mqtt.port == 0 {
+            return Err((
+                "mqtt.port",
+                "0: give 1 to 65535; 1883 is usual, 8883 with TLS".to_owned(),
+            ));
+        }
         if let Some(what) = odd_host(&self.mqtt.host) {
             return Err(("mqtt.host", format!("{:?}: {what}", shown(&self.mqtt.host))));
         }

@@ -73,6 +73,9 @@ fn wrong_keys_and_values_are_named() {
         ("#host = \"127.0.0.1\"", "host = \"127.0.0.1:1883\"", "mqtt.port"),
         ("#host = \"127.0.0.1\"", "host = \" 127.0.0.1\"", "blank"),
         ("#host = \"127.0.0.1\"", "host = \"[::1]\"", "brackets"),
+        ("#port = 1883", "port = 0", "mqtt.port"),
+        ("site = \"k109f\"", "site = \"..\"", "stands for a folder"),
+        ("site = \"k109f\"", "site = \"a\u{200b}b\"", "do not show"),
         ("site = \"k109f\"", "site = \"${HOSTNAME}\"", "placeholder"),
         ("site = \"k109f\"", "site = \" \"", "site"),
         ("#root = \"verge/k109f\"", "root = \"/city/verge/\"", "mqtt.root"),
@@ -87,6 +90,28 @@ fn wrong_keys_and_values_are_named() {
         assert_ne!(bad, EXAMPLE, "{from}");
         let error = parse(&bad).expect_err(to);
         assert!(error.contains(expected), "{to}: {error}");
+    }
+}
+
+#[test]
+fn a_host_without_its_beginning_is_no_missing_folder() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("verge.toml");
+    let read = |source: &str| {
+        std::fs::write(&file, EXAMPLE.replacen("http://127.0.0.1:8080/", source, 1))
+            .expect("written");
+        Config::read(&file).map(|_| ()).map_err(|error| error.to_string())
+    };
+    for source in
+        ["camera.local/snap.jpg", "//camera/snap.jpg", "http//camera/x", "www.example.com"]
+    {
+        let error = read(source).expect_err(source);
+        assert!(error.contains("neither an address nor a folder"), "{source}: {error}");
+    }
+    // Folders have dots too, and one may be missing for now.
+    std::fs::create_dir(folder.path().join("frames.v2")).expect("made");
+    for source in ["frames.v2", "../frames", "./frames", "/var/frames.v3", "frames"] {
+        read(source).expect(source);
     }
 }
 

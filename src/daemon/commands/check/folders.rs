@@ -6,6 +6,7 @@
 
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
+use crate::daemon::output::check_place;
 use crate::daemon::spool;
 use std::io;
 use std::os::unix::fs::MetadataExt;
@@ -75,7 +76,7 @@ pub(super) fn metrics(config: &Config) -> Option<Result<String, Failure>> {
     if !folder.exists() && folder == Path::new(RUNTIME) {
         return Some(Ok(format!("{}: systemd makes the folder", file.display())));
     }
-    let trial = tempfile_beside(file);
+    let trial = check_place(file).and_then(|()| tempfile_beside(file));
     Some(match trial {
         Ok(()) => Ok(format!("{}: can be written", file.display())),
         Err(source) => Err(unwritable(file, source)),

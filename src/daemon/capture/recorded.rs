@@ -186,7 +186,8 @@ fn list(root: &Path, within: &str, depth: usize, names: &mut Vec<String>) -> std
             if depth < MAX_DEPTH && !is_hidden {
                 folders.push((name, relative));
             }
-        } else if is_picture(&path) {
+        } else if is_picture(&path) && !name.starts_with('.') {
+            // A hidden one is macOS's shadow of a file (`._name.jpg`), or not written to its end.
             names.push(relative);
         }
     }

@@ -26,6 +26,9 @@ fn a_stray_file_changes_no_other_file_s_time() {
     assert_eq!(seconds(&plain), seconds(&with_stray));
     assert!(with_stray.tells_time());
     assert_eq!((with_stray.interval(), with_stray.frames()), (Duration::from_secs(10), 3));
+    // Hidden files are shadows of others, and not of the recording.
+    let (_folder, with_shadow) = recording(&[&frames[..], &["._20260105T080010Z.jpg"]].concat());
+    assert_eq!(seconds(&plain), seconds(&with_shadow));
     let step = Some(Duration::from_secs(2));
     let folder = tempfile::tempdir().expect("a temporary folder");
     for name in [

@@ -98,7 +98,7 @@ fn a_host_without_its_beginning_is_no_missing_folder() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = folder.path().join("verge.toml");
     let read = |source: &str| {
-        std::fs::write(&file, EXAMPLE.replacen("http://127.0.0.1:8080/", source, 1))
+        std::fs::write(&file, EXAMPLE.replacen("http://127.0.0.1:8080/snapshot.jpg", source, 1))
             .expect("written");
         Config::read(&file).map(|_| ()).map_err(|error| error.to_string())
     };

@@ -327,7 +327,7 @@ const DOORS: [(&str, &str); 15] = [
     ("http_auth", "src/daemon/capture/network/"),
     // In answers of cameras, and in messages that are piped into `convert`.
     ("flate2", "src/daemon/capture/ src/daemon/commands/convert.rs"),
-    ("v4l", "src/daemon/capture/v4l2.rs"),
+    ("v4l", "src/daemon/capture/v4l2"),
     ("linux_embedded_hal", "boards/linux/"),
     ("nalgebra", "calib/"),
 ];

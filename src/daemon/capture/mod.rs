@@ -22,6 +22,8 @@ mod v4l2;
 pub use device::{DEFAULT_SIZE, DeviceError, DeviceSettings};
 pub use mjpeg::Mjpeg;
 pub use network::{CameraError, CameraSettings, Credentials, Fault};
+#[cfg(feature = "v4l2")]
+use picture::decode_held;
 pub use picture::{DecodeError, decode, decode_shaped, encode::jpeg};
 pub use recorded::{Recorded, RecordingError};
 pub use rtsp::Rtsp;

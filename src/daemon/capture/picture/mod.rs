@@ -6,12 +6,15 @@
 //! may unpack to gigabytes.
 
 pub mod encode;
+mod error;
 mod half;
 pub mod jpeg;
 pub mod kind;
 pub mod pixels;
 pub mod scan;
 mod standard_tables;
+
+pub use error::DecodeError;
 
 use crate::daemon::frame::{Picture, Shape};
 use image::{ColorType, ImageDecoder};
@@ -25,84 +28,9 @@ pub const MAX_MEASURED: usize = 3840 * 2160;
 pub const MAX_PIXELS: u64 = 16_000_000;
 /// Most memory that decoding may take, bytes.
 const MAX_MEMORY: u64 = 88 << 20;
-/// Copies of a picture's bytes that are held while it is decoded: the stream's, the latest, the
-/// decoder's, and its metadata.
-const COPIES: u64 = 4;
-
-/// Why bytes are not a picture to measure.
-#[derive(Debug, thiserror::Error)]
-pub enum DecodeError {
-    /// Nothing there.
-    #[error("the picture is empty (0 bytes)")]
-    Empty,
-    /// Neither JPEG nor PNG.
-    #[error("{what}")]
-    Format {
-        /// What it is.
-        what: String,
-    },
-    /// The end is missing.
-    #[error("the picture is cut off: {bytes} bytes without an end-of-image marker")]
-    Truncated {
-        /// Its size.
-        bytes: usize,
-    },
-    /// Too large to be a traffic camera's.
-    #[error(
-        "a picture of {width}x{height} px: at most {} megapixels are read; choose a smaller picture \
-         or the camera's substream", MAX_PIXELS / 1_000_000
-    )]
-    TooLarge {
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-    },
-    /// Decoding would take more memory than there is for it.
-    #[error(
-        "a {width}x{height} px picture that takes {megabytes} MB to decode: set the camera to baseline \
-         JPEG, or to a smaller picture"
-    )]
-    TooMuchMemory {
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-        /// What it would take.
-        megabytes: u64,
-    },
-    /// Not the shape of the lane table's picture.
-    #[error(
-        "a picture of {width}x{height} px; the lane table is for {} and pictures of its shape. Was the \
-         camera set to another size?",
-        shape
-    )]
-    Shape {
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-        /// The table's.
-        shape: Shape,
-    },
-    /// More bytes than a camera's picture has.
-    #[error("a picture of more than {} bytes", super::MAX_PICTURE_BYTES)]
-    TooManyBytes,
-    /// Raw pixels end before the picture does.
-    #[error("a picture of {actual} bytes; in its format and size it has {expected}")]
-    Short {
-        /// Bytes of a whole picture.
-        expected: usize,
-        /// Bytes that came.
-        actual: usize,
-    },
-    /// The decoder gave up.
-    #[error("the picture is damaged: {0}")]
-    Damaged(String),
-    /// The decoder panicked, which it should not whatever it gets.
-    #[error("the decoder broke down over the picture; please report it with the picture")]
-    Decoder,
-}
+/// Copies of a picture's bytes that are held while it is decoded: the stream's, the latest one and
+/// that of the question.
+const COPIES: u64 = 3;
 
 /// Decodes `bytes` into `picture`, whose buffer is used again.
 ///
@@ -121,14 +49,28 @@ pub fn decode_shaped(
     shape: Option<Shape>,
     picture: &mut Picture,
 ) -> Result<(), DecodeError> {
+    let held = COPIES * bytes.len().min(super::MAX_PICTURE_BYTES) as u64;
+    decode_held(bytes, held, shape, picture)
+}
+
+/// The same for bytes in memory that takes `held` bytes in all, such as a device's buffers.
+///
+/// # Errors
+/// As [`decode_shaped`].
+pub fn decode_held(
+    bytes: &[u8],
+    held: u64,
+    shape: Option<Shape>,
+    picture: &mut Picture,
+) -> Result<(), DecodeError> {
     // The decoders are not ours, and what they get comes from outside: one that panics
     // costs a picture and not the daemon. A half-filled picture is not used.
     let decoded = catch_unwind(AssertUnwindSafe(|| {
         let bytes = kind::trimmed(bytes);
         match Kind::of(bytes) {
             _ if bytes.is_empty() => Err(DecodeError::Empty),
-            Some(Kind::Jpeg) => decode_jpeg(bytes, shape, picture),
-            Some(Kind::Png) => decode_png(bytes, shape, picture),
+            Some(Kind::Jpeg) => decode_jpeg(bytes, held, shape, picture),
+            Some(Kind::Png) => decode_png(bytes, held, shape, picture),
             None => Err(DecodeError::Format { what: kind::described(bytes) }),
         }
     }));
@@ -146,12 +88,13 @@ fn damaged(error: &impl std::fmt::Display) -> DecodeError {
 
 fn decode_jpeg(
     bytes: &[u8],
+    held: u64,
     shape: Option<Shape>,
     picture: &mut Picture,
 ) -> Result<(), DecodeError> {
     let header = jpeg::header(bytes)?;
     let kept = if header.keeps_coefficients { header.coefficients * 2 } else { 0 };
-    let kept = kept + COPIES * bytes.len().min(super::MAX_PICTURE_BYTES) as u64;
+    let kept = kept + held + bytes.len() as u64;
     let (pixels, is_half) = (
         u64::from(header.width) * u64::from(header.height),
         half::suits(header.width, header.height),
@@ -206,6 +149,7 @@ fn decode_jpeg(
 
 fn decode_png(
     bytes: &[u8],
+    held: u64,
     shape: Option<Shape>,
     picture: &mut Picture,
 ) -> Result<(), DecodeError> {
@@ -223,7 +167,7 @@ fn decode_png(
     let (color, _) = reader.output_color_type();
     let interlaced = reader.info().interlaced;
     let kept = u64::from(width) * u64::from(height) * if interlaced { 4 } else { 0 };
-    let kept = kept + COPIES * bytes.len().min(super::MAX_PICTURE_BYTES) as u64;
+    let kept = kept + held + bytes.len() as u64;
     let memory = kept + 3 * u64::from(width) * u64::from(height);
     check(width, height, orientation, memory, shape)?;
     (picture.width, picture.height) = (width as usize, height as usize);

@@ -1,6 +1,6 @@
-//! Cameras on V4L2: the only file that names the crate `v4l`.
+//! Cameras on V4L2: the only folder that names the crate `v4l`.
 //!
-//! Owns opening (format, size and rate by [`negotiate`]), the stream of memory-mapped
+//! Owns opening (format, size and rate by [`format`]), the stream of memory-mapped
 //! buffers, and its end. A stream is never repaired: on any error it is dropped, and a new one
 //! is opened from the device's path, so that a camera may come back under another number. A
 //! stream that has run is opened again at once: most faults are over by then, and no picture
@@ -11,29 +11,26 @@
 //! [`guarded`]. After a failed `next` it would queue a buffer that the kernel owns: hence
 //! "never repaired". `S_FMT` changes what it cannot do: the answer is compared.
 
+mod format;
+
+use self::format::{Given, describe, offers, set};
 use super::backoff::{Backoff, LONGEST_AT_THE_BOX};
 use super::device::{DeviceError, DeviceSettings};
-use super::negotiate::{self, Choice, Encoding, FrameTime, Offer, stepped};
-use super::picture::pixels::{self, Colour, Layout};
-use super::queue::{self, Question, Sequence};
-use super::{CaptureError, Captured, DecodeError, MAX_PICTURE, StreamCounts, decode};
+use super::negotiate;
+use super::queue::{Question, Sequence};
+use super::{CaptureError, Captured, StreamCounts};
 use crate::daemon::clock;
 use crate::daemon::dial;
-use crate::daemon::frame::{Frame, Picture};
+use crate::daemon::frame::Frame;
 use std::hash::{DefaultHasher, Hasher};
 use std::io::{Error, ErrorKind};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
+use v4l::Device;
 use v4l::buffer::{Flags, Type};
 use v4l::capability::Flags as Can;
-use v4l::format::{Colorspace, Quantization};
-use v4l::frameinterval::FrameIntervalEnum;
-use v4l::framesize::FrameSizeEnum;
 use v4l::io::mmap::Stream;
 use v4l::io::traits::{CaptureStream, Stream as _};
-use v4l::video::Capture;
-use v4l::video::capture::Parameters;
-use v4l::{Device, Format, FourCC, Fraction};
 
 /// Frames in a row that may be marked as damaged before the stream is given up.
 const MOST_FLAGGED: u32 = 8;
@@ -139,25 +136,6 @@ impl V4l2 {
     }
 }
 
-/// How the bytes of a stream become a picture.
-#[derive(Clone, Copy, Debug)]
-struct Given {
-    encoding: Encoding,
-    layout: Layout,
-    colour: Colour,
-}
-
-impl Given {
-    fn convert(&self, bytes: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
-        match self.encoding {
-            Encoding::Yuyv => pixels::yuyv(bytes, self.layout, self.colour, picture),
-            Encoding::Nv12 => pixels::nv12(bytes, self.layout, self.colour, picture),
-            Encoding::Grey => pixels::grey(bytes, self.layout, picture),
-            Encoding::Mjpg => decode(bytes, picture),
-        }
-    }
-}
-
 /// A stream that runs.
 struct Open {
     stream: Stopping,
@@ -193,9 +171,7 @@ impl Open {
             let offered = describe(&offers);
             DeviceError::NothingFits { path: path(), wanted: settings.size, offered }
         })?;
-        let (given, frame_bytes) = set(&device, settings, choice)?;
-        let buffers = queue::buffers(frame_bytes)
-            .ok_or_else(|| DeviceError::LargeFrames { path: path(), bytes: frame_bytes })?;
+        let (given, buffers) = set(&device, settings, choice)?;
         let stream = Stream::with_buffers(&device, Type::VideoCapture, buffers)
             .map_err(|e| failed(settings, "REQBUFS", &e))?;
         log::info!("{}: {} as {given:?}", settings.path.display(), about.card);
@@ -285,89 +261,6 @@ fn failed(settings: &DeviceSettings, step: &'static str, error: &Error) -> Captu
 fn timed_out(settings: &DeviceSettings) -> CaptureError {
     let DeviceSettings { path, timeout, .. } = settings.clone();
     DeviceError::Timeout { path, timeout }.into()
-}
-
-/// What the camera offers of what is read here.
-fn offers(device: &Device, settings: &DeviceSettings) -> Result<Vec<Offer>, CaptureError> {
-    let formats = device.enum_formats().map_err(|e| failed(settings, "ENUM_FMT", &e))?;
-    let mut offers = Vec::new();
-    for encoding in Encoding::ALL {
-        let fourcc = FourCC::new(&encoding.fourcc());
-        if !formats.iter().any(|format| format.fourcc == fourcc) {
-            continue;
-        }
-        for listed in device.enum_framesizes(fourcc).unwrap_or_default() {
-            let size = match listed.size {
-                FrameSizeEnum::Discrete(size) => (size.width, size.height),
-                // Any size in steps: the wanted one, as near as the steps allow.
-                FrameSizeEnum::Stepwise(s) => (
-                    stepped(settings.size.0, s.min_width, s.max_width, s.step_width),
-                    stepped(settings.size.1, s.min_height, s.max_height, s.step_height),
-                ),
-            };
-            if size.0 <= MAX_PICTURE.0 && size.1 <= MAX_PICTURE.1 && size.0 > 0 && size.1 > 0 {
-                offers.push(Offer { encoding, size, times: times(device, fourcc, size) });
-            }
-        }
-    }
-    Ok(offers)
-}
-
-fn times(device: &Device, fourcc: FourCC, (width, height): (u32, u32)) -> Vec<FrameTime> {
-    let time = |f: Fraction| FrameTime { numerator: f.numerator, denominator: f.denominator };
-    let listed = device.enum_frameintervals(fourcc, width, height).unwrap_or_default();
-    listed
-        .into_iter()
-        .flat_map(|listed| match listed.interval {
-            FrameIntervalEnum::Discrete(fraction) => vec![time(fraction)],
-            FrameIntervalEnum::Stepwise(steps) => vec![time(steps.min), time(steps.max)],
-        })
-        .collect()
-}
-
-fn describe(offers: &[Offer]) -> String {
-    let mut text: Vec<_> =
-        offers.iter().map(|o| format!("{:?} {}x{}", o.encoding, o.size.0, o.size.1)).collect();
-    text.dedup();
-    if text.is_empty() { "none of these formats".to_owned() } else { text.join(", ") }
-}
-
-/// Asks for a format and rate, and holds the camera to the format. With it, the bytes that a
-/// frame takes.
-fn set(
-    device: &Device,
-    settings: &DeviceSettings,
-    choice: Choice,
-) -> Result<(Given, u32), CaptureError> {
-    let (width, height) = choice.size;
-    let fourcc = FourCC::new(&choice.encoding.fourcc());
-    // A format that was read back and changed would keep the old one's stride.
-    let given = device
-        .set_format(&Format::new(width, height, fourcc))
-        .map_err(|e| failed(settings, "S_FMT", &e))?;
-    if given.fourcc != fourcc || (given.width, given.height) != choice.size {
-        return Err(DeviceError::OtherFormat {
-            path: settings.path.clone(),
-            asked: format!("{fourcc} {width}x{height}"),
-            given: format!("{} {}x{}", given.fourcc, given.width, given.height),
-        }
-        .into());
-    }
-    if let Some(FrameTime { numerator, denominator }) = choice.time {
-        let wanted = Parameters::new(Fraction::new(numerator, denominator));
-        // A camera that keeps its own rate is read at that.
-        if let Err(error) = device.set_params(&wanted) {
-            log::debug!("{}: S_PARM: {error}", settings.path.display());
-        }
-    }
-    let colour = match (given.colorspace, given.quantization) {
-        (Colorspace::Rec709, _) => Colour::Bt709,
-        (Colorspace::JPEG, _) | (_, Quantization::FullRange) => Colour::Bt601Full,
-        _ => Colour::Bt601,
-    };
-    let (width, height) = (width as usize, height as usize);
-    let layout = Layout { width, height, stride: given.stride as usize };
-    Ok((Given { encoding: choice.encoding, layout, colour }, given.size))
 }
 
 #[cfg(test)]

@@ -29,7 +29,6 @@ static const unsigned sizes[][2] = {{3840, 2160}, {1920, 1080}, {640, 360}, {532
 
 static int device = -1;
 static unsigned mode, width, height, format, length, count, queued[BUFFERS], waiting, sequence;
-static unsigned char *mapped;
 static double next_frame;
 
 static double now(void) {
@@ -45,13 +44,20 @@ static int fails(int error) {
     return -1;
 }
 
-/* Puts a picture of the camera's into a buffer; how many bytes it says it has used. */
-static unsigned fill(unsigned char *buffer) {
+/* Puts a picture of the camera's into the buffer that begins at `begin`; how many bytes it says it
+ * has used. It is written to the file: pages that the driver mapped too would count twice. */
+static unsigned fill(off_t begin) {
+    static unsigned char piece[1 << 15];
+    unsigned used = 0, changes = random() % 4;
     if (format != V4L2_PIX_FMT_MJPEG) {
         /* One row in twenty: reading is what is tested. */
-        unsigned row = length / (height ? height : 1), at;
-        for (at = 0; at + row <= length; at += 20 * (row ? row : 1))
-            memset(buffer + at, random(), row);
+        unsigned row = length / (height ? height : 1);
+        unsigned part = row < sizeof piece ? row : sizeof piece;
+        for (; part && used + row <= length; used += 20 * row) {
+            memset(piece, random(), part);
+            if (pwrite(device, piece, part, begin + used) < 0)
+                return 0;
+        }
         return one_in(4) ? random() % (length + 1) : length;
     }
     char path[512];
@@ -59,10 +65,19 @@ static unsigned fill(unsigned char *buffer) {
     FILE *file = fopen(path, "r");
     if (!file)
         return 0;
-    unsigned used = fread(buffer, 1, length, file), changes = random() % 4;
+    size_t got;
+    while ((got = fread(piece, 1, sizeof piece, file)) && used < length) {
+        got = got < length - used ? got : length - used;
+        if (pwrite(device, piece, got, begin + used) < 0)
+            break;
+        used += got;
+    }
     fclose(file);
-    while (used && changes--)
-        buffer[random() % used] = random();
+    while (used && changes--) {
+        piece[0] = random();
+        if (pwrite(device, piece, 1, begin + random() % used) < 0)
+            break;
+    }
     return one_in(8) ? random() % (length + 1) : used;
 }
 
@@ -123,31 +138,25 @@ static int set_format(struct v4l2_format *it) {
 }
 
 static int request_buffers(struct v4l2_requestbuffers *it) {
-    if (mapped)
-        munmap(mapped, (size_t)count * length);
-    mapped = NULL;
     waiting = 0;
     count = it->count > BUFFERS ? BUFFERS : it->count;
     if (count && one_in(20))
         count = 1 + random() % count;
     it->count = count;
-    if (!count)
-        return 0;
     if (ftruncate(device, 0) || ftruncate(device, (off_t)count * length))
         return fails(ENOMEM);
-    mapped = mmap(NULL, (size_t)count * length, PROT_READ | PROT_WRITE, MAP_SHARED, device, 0);
-    return mapped == MAP_FAILED ? (mapped = NULL, fails(ENOMEM)) : 0;
+    return 0;
 }
 
 static int dequeue(struct v4l2_buffer *it) {
     next_frame = now() + (one_in(400) ? 15 : 0.2);
     if (one_in(60))
         return fails(one_in(2) ? ENODEV : EIO);
-    if (!waiting || !mapped)
+    if (!waiting)
         return fails(EAGAIN);
     it->index = queued[0];
     memmove(queued, queued + 1, --waiting * sizeof *queued);
-    it->bytesused = fill(mapped + (size_t)it->index * length);
+    it->bytesused = fill((off_t)it->index * length);
     it->length = length;
     it->flags = one_in(10) ? V4L2_BUF_FLAG_ERROR : one_in(20) ? random() : 0;
     it->sequence = one_in(20) ? random() : ++sequence;
@@ -217,7 +226,6 @@ static int opened(const char *path, int descriptor) {
         mode = times % 5;
         device = descriptor;
         count = waiting = 0;
-        mapped = NULL;
         next_frame = 0;
     }
     return descriptor;

@@ -72,6 +72,36 @@ fn each_figure_is_on_one_page() {
     assert!(unused.is_empty(), "no longer doubles: {unused:?}");
 }
 
+/// The sections of a page with a table of numbers that do not say when it was measured, and at
+/// which commit.
+fn undated(text: &str) -> Vec<&str> {
+    let is_measured = |line: &str| {
+        line.strip_prefix("*Measured on ")
+            .and_then(|line| line.strip_suffix(".*")?.rsplit_once(" at "))
+            .is_some_and(|(_, commit)| {
+                commit.len() == 7 && commit.chars().all(|c| c.is_ascii_hexdigit())
+            })
+    };
+    let has_numbers =
+        |line: &str| line.starts_with('|') && line.contains(|c: char| c.is_ascii_digit());
+    let sections = text.split("\n## ").skip(1);
+    let undated = sections
+        .filter(|section| section.lines().any(has_numbers) && !section.lines().any(is_measured));
+    undated.filter_map(|section| section.lines().next()).collect()
+}
+
+#[test]
+fn each_measured_table_names_its_day_and_commit() {
+    for page in all().into_iter().filter(|page| page.path.starts_with("docs/measured/")) {
+        assert!(undated(&page.text).is_empty(), "{}: {:?}", page.path, undated(&page.text));
+    }
+    let dated = "\n## A\n\n*Measured on 3 May 2026, last at 0ab147a.*\n\n| 1 |";
+    assert!(undated(dated).is_empty());
+    for wrong in ["\n## B\n\n| 1 |", "\n## B\n*Measured on 3 May 2026, at home.*\n| 1 |"] {
+        assert_eq!(undated(wrong), ["B"]);
+    }
+}
+
 #[test]
 fn figures_are_read_with_their_unit() {
     let read =

@@ -8,6 +8,7 @@ use crate::lower::{Lowered, Lowering};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use tract_core::internal::*;
 use tract_core::ops::konst::Const;
+use tract_core::ops::quant::DequantizeLinearF32;
 use verge_kernels::Isa;
 
 /// A region that goes onto the kernels.
@@ -59,7 +60,59 @@ fn colours(
         let colour = from.max().unwrap_or(0);
         colours.insert(id, colour);
     }
+    // A DequantizeLinear goes to its reader: between two regions bytes cross, and not floats.
+    for &id in order.iter().filter(|id| !refused.contains_key(id)) {
+        let node = model.node(id);
+        if !node.op_is::<DequantizeLinearF32>() || model.outputs.contains(&id.into()) {
+            continue;
+        }
+        let readers = model.outlet_successors(id.into());
+        let colour = |reader: &InletId| {
+            let ours = !refused.contains_key(&reader.node);
+            ours.then(|| colours.get(&reader.node).copied()).flatten()
+        };
+        let first = readers.first().and_then(colour);
+        if let Some(first) =
+            first.filter(|&first| readers.iter().all(|reader| colour(reader) == Some(first)))
+        {
+            colours.insert(id, first);
+        }
+    }
     colours
+}
+
+/// Gives each region that reads a DequantizeLinear of another one its own; whether one did. With
+/// [`colours`] it then lies in its reader's region.
+pub(crate) fn share_out(
+    model: &mut TypedModel,
+    refused: &BTreeMap<usize, Refusal>,
+) -> TractResult<bool> {
+    let (order, _) = computed(model)?;
+    let colours = colours(model, &order, refused);
+    let mut copies = Vec::new();
+    for &id in order.iter().filter(|id| !refused.contains_key(id)) {
+        if !model.node(id).op_is::<DequantizeLinearF32>() {
+            continue;
+        }
+        let mut far: BTreeMap<usize, Vec<InletId>> = BTreeMap::new();
+        for reader in model.outlet_successors(id.into()) {
+            if let Some(&colour) = colours.get(&reader.node)
+                && !refused.contains_key(&reader.node)
+                && colour > colours[&id]
+            {
+                far.entry(colour).or_default().push(*reader);
+            }
+        }
+        copies.extend(far.into_iter().map(|(colour, readers)| (id, colour, readers)));
+    }
+    for (id, colour, readers) in &copies {
+        let node = model.node(*id);
+        let (name, op, inputs) =
+            (format!("{}.{colour}", node.name), node.op.clone(), node.inputs.clone());
+        let copy = model.wire_node(name, op, &inputs)?[0];
+        readers.iter().try_for_each(|&reader| model.add_edge(copy, reader))?;
+    }
+    Ok(!copies.is_empty())
 }
 
 /// Puts as much of `model` as is recognised onto the kernels of `isa`.

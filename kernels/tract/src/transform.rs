@@ -2,7 +2,7 @@
 
 use crate::constant::make_floats;
 use crate::op::Subnet;
-use crate::partition::{Partition, partition};
+use crate::partition::{Partition, partition, share_out};
 use std::collections::HashMap;
 use tract_core::internal::*;
 use tract_core::transform::ModelTransform;
@@ -39,7 +39,11 @@ impl KernelTransform {
     /// # Errors
     /// tract's, where the model is not in order.
     pub fn apply(&self, model: &mut TypedModel) -> TractResult<Vec<LeftToTract>> {
-        let Partition { regions, refused } = partition(model, self.isa)?;
+        let mut parts = partition(model, self.isa)?;
+        if share_out(model, &parts.refused)? {
+            parts = partition(model, self.isa)?;
+        }
+        let Partition { regions, refused } = parts;
         let left = refused.into_iter().map(|(id, reason)| {
             let node = model.node(id);
             LeftToTract { node: node.name.clone(), operator: node.op.name().into_owned(), reason }

@@ -5,6 +5,7 @@
 //! know of it is computed on them, the rest in tract.
 
 mod engine;
+mod error;
 mod guess;
 mod head;
 mod head_key;
@@ -18,11 +19,11 @@ mod self_test;
 mod sidecar;
 
 pub use engine::{Precision, Share};
+pub use error::{DetectError, ModelError};
 pub use head_key::{HeadKind, HeadSpec};
 pub use inspect::{Inspection, inspect};
 pub use sidecar::{Sidecar, SidecarError, Step};
 
-use super::disk;
 use super::frame::{Detection, Picture, Region};
 use super::plain;
 use crate::lane::Name;
@@ -42,66 +43,6 @@ pub const MAX_CANDIDATES: usize = 1024;
 /// Largest model file, bytes: thirty times the one that ships.
 const MOST_MODEL: u64 = 256 << 20;
 
-/// Why a model cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ModelError {
-    /// The sidecar that describes it is missing or wrong.
-    #[error(transparent)]
-    Sidecar(#[from] SidecarError),
-    /// The file cannot be read.
-    #[error("model {}: {}", path.display(), disk::unread(source))]
-    Read {
-        /// The model file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// The file is another one than the sidecar describes.
-    #[error(
-        "model {}: its SHA-256 is {actual}, sidecar {} says {expected}; they do not belong \
-         together", path.display(), sidecar.display()
-    )]
-    Hash {
-        /// The model file.
-        path: PathBuf,
-        /// The sidecar.
-        sidecar: PathBuf,
-        /// The hash that the sidecar names.
-        expected: String,
-        /// The hash of the file.
-        actual: String,
-    },
-    /// tract cannot run the file.
-    #[error("model {}: cannot be loaded: {reason}", path.display())]
-    Load {
-        /// The model file.
-        path: PathBuf,
-        /// tract's reason.
-        reason: String,
-    },
-    /// Input or output differ from what the sidecar says.
-    #[error("model {}: {what} has shape {actual:?}, its sidecar asks for {expected:?}",
-        path.display())]
-    Shape {
-        /// The model file.
-        path: PathBuf,
-        /// Input or output.
-        what: &'static str,
-        /// The shapes that follow from the sidecar.
-        expected: Vec<Vec<usize>>,
-        /// The model's own.
-        actual: Vec<Vec<usize>>,
-    },
-    /// It does not find what it must in the known picture.
-    #[error("model {}: it failed its test: {reason}", path.display())]
-    SelfTest {
-        /// The model file.
-        path: PathBuf,
-        /// What differs.
-        reason: String,
-    },
-}
-
 /// How a model is loaded, beside what its sidecar says.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LoadOptions {
@@ -115,13 +56,6 @@ pub struct LoadOptions {
     /// For a model with weights of evidence: give all boxes that these can choose from, which
     /// `score` then has no part in.
     pub candidates: bool,
-}
-
-/// A picture that could not be searched.
-#[derive(Debug, thiserror::Error)]
-#[error("inference failed: {reason}")]
-pub struct DetectError {
-    reason: String,
 }
 
 /// A loaded model.

@@ -1,0 +1,72 @@
+//! Why a model cannot be used, or a picture not be searched, in the user's words.
+
+use super::sidecar::SidecarError;
+use crate::daemon::disk;
+use std::path::PathBuf;
+
+/// Why a model cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The sidecar that describes it is missing or wrong.
+    #[error(transparent)]
+    Sidecar(#[from] SidecarError),
+    /// The file cannot be read.
+    #[error("model {}: {}", path.display(), disk::unread(source))]
+    Read {
+        /// The model file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file is another one than the sidecar describes.
+    #[error(
+        "model {}: its SHA-256 is {actual}, sidecar {} says {expected}; they do not belong \
+         together", path.display(), sidecar.display()
+    )]
+    Hash {
+        /// The model file.
+        path: PathBuf,
+        /// The sidecar.
+        sidecar: PathBuf,
+        /// The hash that the sidecar names.
+        expected: String,
+        /// The hash of the file.
+        actual: String,
+    },
+    /// tract cannot run the file.
+    #[error("model {}: cannot be loaded: {reason}", path.display())]
+    Load {
+        /// The model file.
+        path: PathBuf,
+        /// tract's reason.
+        reason: String,
+    },
+    /// Input or output differ from what the sidecar says.
+    #[error("model {}: {what} has shape {actual:?}, its sidecar asks for {expected:?}",
+        path.display())]
+    Shape {
+        /// The model file.
+        path: PathBuf,
+        /// Input or output.
+        what: &'static str,
+        /// The shapes that follow from the sidecar.
+        expected: Vec<Vec<usize>>,
+        /// The model's own.
+        actual: Vec<Vec<usize>>,
+    },
+    /// It does not find what it must in the known picture.
+    #[error("model {}: it failed its test: {reason}", path.display())]
+    SelfTest {
+        /// The model file.
+        path: PathBuf,
+        /// What differs.
+        reason: String,
+    },
+}
+
+/// A picture that could not be searched.
+#[derive(Debug, thiserror::Error)]
+#[error("inference failed: {reason}")]
+pub struct DetectError {
+    pub(super) reason: String,
+}

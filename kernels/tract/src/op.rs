@@ -289,15 +289,24 @@ fn to_pixels<T: Copy, U>(planes: &[T], pixels: &mut [U], shape: Shape, each: imp
 
 /// Pixels into planes.
 fn to_planes<'a, T: Copy + 'a, U>(
-    pixels: impl Iterator<Item = &'a [T]>,
+    mut pixels: impl Iterator<Item = &'a [T]>,
     planes: &mut [U],
     shape: Shape,
     each: impl Fn(T) -> U,
 ) {
     let count = shape.height * shape.width;
-    for (i, pixel) in pixels.enumerate() {
-        for (plane, &value) in planes.chunks_exact_mut(count).zip(pixel) {
-            plane[i] = each(value);
+    let mut block: [&[T]; BLOCK] = [&[]; BLOCK];
+    let mut first = 0;
+    loop {
+        let here = block.iter_mut().zip(&mut pixels).map(|(place, pixel)| *place = pixel).count();
+        if here == 0 {
+            return;
         }
+        for (channel, plane) in planes.chunks_exact_mut(count).enumerate() {
+            for (value, pixel) in plane[first..][..here].iter_mut().zip(&block) {
+                *value = each(pixel[channel]);
+            }
+        }
+        first += here;
     }
 }

@@ -68,7 +68,9 @@ fn forget_code() {
             if start < end {
                 let pages = start as *mut c_void;
                 // SAFETY: pages of the file that nobody may write; the next one who touches them
-                // gets them from the file again.
+                // gets them from the file again. That holds as long as the loader changes nothing in
+                // them (Rust's programs have no text relocations) and no packer, such as UPX, has put
+                // them there. A debugger's breakpoints are lost.
                 let _ = unsafe { libc::madvise(pages, end - start, libc::MADV_DONTNEED) };
             }
         }

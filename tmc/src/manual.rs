@@ -24,7 +24,7 @@ const DAILY: (&str, &str) = (
 const PAGES: &[Page] = &[
     Page {
         command: "",
-        files: &[("/etc/verge-centre/centre.conf", "What the units of the package are told.")],
+        files: &[("/etc/verge-centre/centre.conf", "Settings of the units of the package.")],
         exits: FROM_BROKER,
         examples: &[],
         see: &[

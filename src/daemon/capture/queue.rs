@@ -10,7 +10,8 @@ use std::time::Duration;
 const MOST_BUFFERS: u32 = 4;
 /// Fewest: one is being read, one is being filled.
 const FEWEST_BUFFERS: u32 = 2;
-/// Memory that the buffers may take beyond the fewest, bytes: four of 1920x1080 YUYV, two of 3840x2160.
+/// Memory that a stream's buffers may take, bytes: it has room for four frames of 1920x1080 in YUYV, and
+/// for two of 3840x2160.
 const MOST_BUFFERED: u32 = 36 << 20;
 /// Oldest picture that is taken for a new one.
 pub const FRESH: Duration = Duration::from_secs(2);

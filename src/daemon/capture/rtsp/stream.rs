@@ -1,4 +1,4 @@
-//! What is known of a video stream, and how it is told.
+//! What is known of a video stream, and how it is described.
 
 use std::time::{Duration, Instant};
 

@@ -80,7 +80,8 @@ impl Pass {
             }
             let lane = (lane - 1) as usize;
             if is_cell(row) {
-                // A length that no lane has is not the site's.
+                // Files have lanes before cells (`Row::key`): a length that no lane had is not the
+                // site's.
                 if self.sums.window_s == Some(*window_s) {
                     self.add_cell(rows, row, lane);
                 }

@@ -26,8 +26,8 @@ fn the_unit_says_nothing_that_systemd_does_not_know() {
     let folder = common::folder();
     let unit = folder.path().join("verge.service");
     let text = fs::read_to_string(UNIT).expect("it ships");
-    let here = text.replace("/usr/bin/verge run", "/bin/true run");
-    assert_ne!(here, text, "the unit starts /usr/bin/verge");
+    let here = text.replace("/usr/lib/verge/verge run", "/bin/true run");
+    assert_ne!(here, text, "the unit starts /usr/lib/verge/verge");
     fs::write(&unit, here).expect("writing it");
     let path = unit.to_str().expect("plain text");
     let Some(output) = analyze(&["verify", "--recursive-errors=no", path]) else { return };

@@ -1,10 +1,10 @@
-//! What arrives at a broker: the embedded one, and Debian's mosquitto where it is there.
+//! Messages as they arrive at a broker: the embedded one, and Debian's mosquitto where installed.
 #![cfg(feature = "demo")]
 
 mod common;
 
 use common::folder;
-use common::mosquitto::{Mosquitto, Running, free_port};
+use common::mosquitto::{Mosquitto, Running};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -20,6 +20,7 @@ use verge::lane::LaneTable;
 use verge::sensor::ClosedWindow;
 use verge::units::{LaneId, UtcMs, VehicleClass};
 use verge::wire::{self, CalibrationRef, ModelRef};
+use verge_desk::free_port;
 use verge_messages::{Alarm, Status, Utc};
 
 const PATIENCE: Duration = Duration::from_secs(20);

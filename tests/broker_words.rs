@@ -1,4 +1,4 @@
-//! What `verge check` finds at a broker, and says of it: only where density will arrive it passes.
+//! Findings of `verge check` at a broker and their words: it passes only where density will arrive.
 //!
 //! Each case that `tests/denial.rs` has for the running sensor, and the certificates that guides
 //! make.
@@ -7,12 +7,13 @@ mod common;
 #[path = "common/fake_broker.rs"]
 mod fake_broker;
 
-use common::mosquitto::{Mosquitto, free_port};
+use common::mosquitto::Mosquitto;
 use fake_broker::{FakeBroker, Manners};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 use verge::daemon::publish::{MqttSettings, MqttVersion, Tls, TlsFiles, probe};
+use verge_desk::free_port;
 
 const WINDOWS: [Duration; 1] = [Duration::from_secs(60)];
 /// Bytes that a window has.

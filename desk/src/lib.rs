@@ -1,4 +1,4 @@
-//! What every program at a desk needs: failures with an exit code, a `main`, files that are
+//! Shared by every program at a desk: failures with an exit code, a `main`, files that are
 //! there whole or not at all, reading with a path in the error, manual pages, tests that say
 //! they skip, generated pages of the handbook, and for programs with a page ([`loopback`],
 //! [`page`]) HTTP on loopback and what pages share.
@@ -8,6 +8,7 @@
 //! a code by [`Exit`]. Knows nothing of cameras, messages or density.
 
 mod failure;
+mod free_port;
 mod generated;
 #[cfg(feature = "page")]
 pub mod loopback;
@@ -22,6 +23,7 @@ mod whole;
 mod whole_folder;
 
 pub use failure::Failure;
+pub use free_port::free_port;
 pub use generated::hold;
 pub use program::{Exit, print, run_main};
 pub use read::{read_bytes, read_text, text};

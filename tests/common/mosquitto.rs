@@ -1,23 +1,11 @@
 //! Debian's broker as a process of the test's own.
 
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 const PATIENCE: Duration = Duration::from_secs(20);
-
-/// A port of this machine that is free, another one each time: below those that the system gives to
-/// outgoing connections, of which a flood in another test has a thousand.
-pub fn free_port() -> u16 {
-    static GIVEN: AtomicU16 = AtomicU16::new(0);
-    let first = (std::process::id() % 100) as u16 * 200;
-    (0..)
-        .map(|_| 10_000 + (first + GIVEN.fetch_add(1, Ordering::Relaxed)) % 20_000)
-        .find(|&port| TcpListener::bind((Ipv4Addr::LOCALHOST, port)).is_ok())
-        .expect("a free port")
-}
 
 /// Debian's broker, on ports of this machine.
 pub struct Mosquitto {

@@ -1,12 +1,13 @@
 //! A thousand boxes at a broker that comes back, each with a connection of its own.
 
 use super::{common, is_long};
-use common::mosquitto::{Mosquitto, Running, free_port};
+use common::mosquitto::{Mosquitto, Running};
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 use verge::daemon::publish::{Format, MqttSettings, Publisher};
+use verge_desk::free_port;
 
 const BOXES: usize = 1000;
 /// Ceilings of the waits have come to their end by then.

@@ -2,15 +2,16 @@
 //! written sector is counted.
 
 use super::{Arrived, CHILD, PATIENCE, collect, common, is_long, outlet, tend};
-use common::mosquitto::{Mosquitto, free_port};
+use common::mosquitto::Mosquitto;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use verge::daemon::publish::loopback::Subscriber;
+use verge_desk::free_port;
 
-/// Runs the test `name` of this program again, with `mount` having put a disk into a folder
-/// that it is told. False where the kernel allows no mount: nothing that could be installed.
+/// Runs the test `name` of this program again, with a disk that `mount` has put into a folder,
+/// whose path it gets. False where the kernel allows no mount: nothing that could be installed.
 fn on_a_disk_of_its_own(name: &str, mount: &str) -> bool {
     let folder = common::folder();
     let disk = folder.path().join("disk");

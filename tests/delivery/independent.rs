@@ -6,7 +6,7 @@
 //! in a spool must have reached the auditor, no number may be missing, and none may belong to two
 //! windows.
 
-use super::common::mosquitto::{Mosquitto, Running, free_port};
+use super::common::mosquitto::{Mosquitto, Running};
 use super::{PATIENCE, common, listen, name, repetitions, window};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,8 +22,9 @@ use verge::daemon::publish::{Format, Identity, MqttSettings};
 use verge::daemon::spool::Spool;
 use verge::sensor::ClosedWindow;
 use verge::wire::{CalibrationRef, ModelRef};
+use verge_desk::free_port;
 
-/// What a process with this in its environment does is [`box_process`].
+/// A process with this in its environment runs [`box_process`].
 const BOX: &str = "VERGE_AUDITED_BOX";
 /// Windows that one life of a box has numbers for; it is killed long before.
 const LIFE: i64 = 10_000;

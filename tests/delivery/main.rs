@@ -11,7 +11,7 @@ mod crowd;
 mod disk;
 mod independent;
 
-use common::mosquitto::{Mosquitto, Running, free_port};
+use common::mosquitto::{Mosquitto, Running};
 use common::packets::packet;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -30,10 +30,11 @@ use verge::lane::Name;
 use verge::sensor::ClosedWindow;
 use verge::units::{Direction, LaneId, UtcMs, VehicleClass};
 use verge::wire::{CalibrationRef, ModelRef};
+use verge_desk::free_port;
 
 const PATIENCE: Duration = Duration::from_secs(30);
 const ROOT: &str = "verge/delivery";
-/// What a process with this in its environment does is [`child`].
+/// A process with this in its environment runs [`child`].
 const CHILD: &str = "VERGE_DELIVERY_CHILD";
 
 fn is_long() -> bool {

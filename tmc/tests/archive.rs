@@ -5,7 +5,7 @@
 mod broker;
 mod common;
 
-use broker::{flood, free_port, message, mosquitto, mosquitto_with, publish};
+use broker::{flood, message, mosquitto, mosquitto_with, publish};
 use common::{Numbers, failure, stderr, text, tmc};
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::Permissions;
@@ -17,6 +17,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::time::Duration;
+use verge_desk::free_port;
 use verge_tmc::store;
 
 fn archiver(port: u16, out: &Path, name: &str, more: &[&str]) -> Child {
@@ -193,7 +194,7 @@ fn through_tls_it_takes_from_a_broker_that_the_authority_knows() {
     assert!(stderr(&output).contains("give PEM certificates"), "{}", stderr(&output));
 }
 
-/// What an archiver says that runs until nothing comes for a second.
+/// The log of an archiver that runs until nothing comes for a second.
 fn archive(port: u16, out: &Path) -> String {
     let broker = format!("127.0.0.1:{port}");
     let args = ["archive", "--broker", &broker, "--out", text(out), "--until-idle", "1"];

@@ -3,10 +3,10 @@
 
 use rumqttc::{Client, Event, MqttOptions, NetworkOptions, Packet, QoS};
 use std::io::Write;
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, TcpStream};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
+use verge_desk::free_port;
 
 /// A broker that ends with the value.
 pub struct Mosquitto {
@@ -26,17 +26,6 @@ impl Drop for Mosquitto {
 /// Starts mosquitto on a free port, or says that it is not installed.
 pub fn mosquitto() -> Option<Mosquitto> {
     mosquitto_with("")
-}
-
-/// A port of this machine that is free, another one each time: below those that the system gives to
-/// outgoing connections, of which a flood in another test has a thousand.
-pub fn free_port() -> u16 {
-    static GIVEN: AtomicU16 = AtomicU16::new(0);
-    let first = (std::process::id() % 100) as u16 * 200;
-    (0..)
-        .map(|_| 10_000 + (first + GIVEN.fetch_add(1, Ordering::Relaxed)) % 20_000)
-        .find(|&port| TcpListener::bind((Ipv4Addr::LOCALHOST, port)).is_ok())
-        .expect("a free port")
 }
 
 /// Starts mosquitto with more lines in its configuration.

@@ -5,7 +5,7 @@
 use std::process::ExitCode;
 use verge::hal::Board;
 
-/// What this board has besides a camera: nothing.
+/// The board of an ordinary computer: a camera and no parts of its own.
 type Host = Board;
 
 fn main() -> ExitCode {

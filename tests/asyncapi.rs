@@ -25,7 +25,7 @@ fn document() -> Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// What a `$ref` inside the document points to; anything else is itself.
+/// Follows a `$ref` inside the document; any other value is returned as it is.
 fn resolved<'a>(document: &'a Value, value: &'a Value) -> &'a Value {
     match value.get("$ref").and_then(Value::as_str).and_then(|path| path.strip_prefix('#')) {
         Some(path) => document.pointer(path).unwrap_or_else(|| panic!("nothing at {path}")),

@@ -81,7 +81,7 @@ struct Case {
     words: &'static str,
 }
 
-/// What a camera does.
+/// Behaviour of a camera.
 #[derive(Clone)]
 enum Camera {
     /// These pictures, one after the other.
@@ -102,7 +102,7 @@ fn is_long() -> bool {
 }
 
 fn denied(name: &'static str, broker: Manners, words: &'static str) -> Case {
-    // What `check` says of a broker does not hang on the camera.
+    // The findings of `check` about a broker do not depend on the camera.
     let camera = if is_long() { Camera::Pictures(street_pictures()) } else { Camera::Closed };
     Case { name, camera, broker, part: "broker", words }
 }
@@ -289,7 +289,7 @@ fn run_says_why_the_spool_takes_nothing_and_what_to_do() {
 }
 
 /// A camera with a new picture each 20 s that is asked each second: not frozen, but slow, with what to
-/// set; also where the picture is packed anew each time.
+/// set; also where the picture is compressed again each time.
 #[test]
 fn a_slow_camera_is_told_with_its_period() {
     use std::io::{Read, Write};

@@ -1,6 +1,6 @@
 //! Brokers that deny, misbehave or are set up in another way than the box expects: no window is
 //! lost without a word, none waits behind something else, and nobody is flooded with connections.
-//! What they are called in words is `tests/broker_words.rs`'s.
+//! Their wording is tested in `tests/broker_words.rs`.
 
 mod common;
 #[path = "common/fake_broker.rs"]
@@ -388,7 +388,7 @@ fn a_publishing_thread_that_hangs_ends_the_process_and_the_next_delivers() {
     };
     println!("last fed after {fed:?}, ended after {:?} with {ended}", frozen.elapsed());
     assert!(fed < Duration::from_secs(70), "the watchdog was fed after {fed:?}");
-    // What the unit's Restart= takes for a failure.
+    // A status that the unit's Restart= takes for a failure.
     assert_eq!(ended.code(), Some(70));
     let before = broker.windows();
     let _second = daemon(&broker, folder.path(), |_| ());

@@ -40,7 +40,7 @@ fn names(code: &str, word: &str) -> bool {
     })
 }
 
-/// What a file of the core must not name.
+/// The name in a file of the core that must not be there.
 fn wrong_in_core(code: &str) -> Option<&'static str> {
     let words = ["std", "alloc", "log", "Instant", "SystemTime", "daemon", "verge_messages"];
     words.into_iter().find(|word| names(code, word))
@@ -158,8 +158,8 @@ fn stage(file: &str, path: &str) -> Option<&'static str> {
     STAGES.into_iter().find(|stage| Some(*stage) == first)
 }
 
-/// What is wrong with the stages that a file of the daemon names: in imports, expanded, and in
-/// paths where they are used.
+/// The fault among the stages that a file of the daemon names: in imports, expanded, and in paths
+/// where they are used.
 fn wrong_stages(file: &str, code: &str) -> Option<String> {
     // The exit codes map every stage's errors and use nothing else of them.
     let joins = file == "src/daemon/exit.rs"
@@ -217,7 +217,7 @@ fn a_second_stage_is_found_however_it_is_named() {
     }
 }
 
-/// Which modules at the top of `root` each of them names, that folder being `root_path` in paths.
+/// The modules at the top of `root` that each of them names; in paths, that folder is `root_path`.
 /// A folder is one module: a child may name its parent.
 fn graph(root: &str, root_path: &str, skip: &str) -> BTreeMap<String, BTreeSet<String>> {
     let above: Vec<&str> = root_path.split("::").collect();
@@ -231,7 +231,7 @@ fn graph(root: &str, root_path: &str, skip: &str) -> BTreeMap<String, BTreeSet<S
         let inside = file.strip_prefix(root).unwrap_or(file).trim_start_matches('/');
         let inside = inside.trim_end_matches(".rs").trim_end_matches("mod");
         let at: Vec<&str> = inside.split('/').filter(|part| !part.is_empty()).collect();
-        // What `lib` and `mod` at the root hand on is no dependency of what they declare.
+        // A re-export by `lib` or `mod` at the root is not a dependency of its source.
         let [own, ..] = at[..] else { continue };
         if ["lib", "main"].contains(&own) {
             continue;
@@ -357,7 +357,7 @@ fn each_outside_crate_has_one_door() {
     assert_eq!(wrong_door("src/daemon/detect/load.rs", "use tract_onnx::tract_core;"), None);
 }
 
-/// What a file of `src` must not name, nor one of `calib`.
+/// The name in a file of `src`, or of `calib`, that must not be there.
 fn wrong_neighbour(file: &str, code: &str) -> Option<&'static str> {
     let words: &[&str] =
         if file.starts_with("calib") { &["daemon"] } else { &["boards", "mvcalib", "street"] };
@@ -380,7 +380,7 @@ fn nothing_imports_a_board_and_calibration_and_daemon_do_not_meet() {
     }
 }
 
-/// Whether a file is unsafe that is no door.
+/// Whether a file outside the doors has unsafe code.
 fn is_unsafe_outside(file: &str, code: &str) -> bool {
     let doors = [
         "src/daemon/clock.rs",

@@ -15,7 +15,7 @@ use verge::daemon::frame::Frame;
 /// The time-out of the camera that the tests have.
 const TIMEOUT: Duration = Duration::from_millis(600);
 
-/// What the server does on one connection.
+/// Behaviour of the server on one connection.
 enum Does {
     /// Sends bytes.
     Send(Vec<u8>),

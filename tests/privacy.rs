@@ -1,4 +1,4 @@
-//! What leaves the box: numbers to the broker, and nothing else. No picture, no other
+//! Privacy: numbers to the broker leave the box, and nothing else. No picture, no other
 //! connection, no socket that listens.
 #![cfg(all(feature = "demo", target_os = "linux"))]
 

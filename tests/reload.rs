@@ -10,7 +10,7 @@ use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// What the daemon says to the service manager, up to the first word that `wanted` takes.
+/// The daemon's words to the service manager, up to the first that `wanted` accepts.
 fn heard(manager: &UnixDatagram, wanted: impl Fn(&str) -> bool) -> Vec<String> {
     let mut words = Vec::new();
     loop {

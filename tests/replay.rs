@@ -8,7 +8,7 @@ use common::{
 use serde_json::Value;
 use std::path::Path;
 
-/// What the street's recording makes, byte for byte: a change of it is a change for every user.
+/// The windows of the street's recording, byte for byte: a change of them reaches every user.
 const WINDOWS: &str = "tests/data/curve/windows.jsonl";
 
 fn text(path: &Path) -> &str {

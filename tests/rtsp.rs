@@ -14,7 +14,7 @@ use verge::daemon::frame::Frame;
 /// The time-out of the camera that the tests have.
 const TIMEOUT: Duration = Duration::from_millis(1500);
 
-/// What a server does on one connection.
+/// Behaviour of a server on one connection.
 #[derive(Clone)]
 struct Server {
     /// Challenges of a 401; the next request with a login is accepted, or not.

@@ -34,7 +34,7 @@ def sidecar(model):
     hashed = hashlib.sha256(model.read_bytes()).hexdigest()
     lines, known = [], False
     for line in SHIPPED.read_text().splitlines():
-        # What the int8 form finds in the known picture is not this one's.
+        # The boxes in the known picture are those of the int8 form.
         known = line == "[self_test]" or (known and not line.startswith("["))
         if known:
             continue

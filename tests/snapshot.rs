@@ -307,7 +307,7 @@ fn nothing_of_a_login_or_a_query_is_said() {
     }
 }
 
-/// A page, or a picture that cannot be used, is no picture that stands still.
+/// A page, or a picture that cannot be used, does not count as a frozen picture.
 #[test]
 fn a_fault_that_repeats_stays_the_same_fault() {
     let page = answer("200 OK", "", b"<html>login</html>");
@@ -322,7 +322,7 @@ fn a_fault_that_repeats_stays_the_same_fault() {
     }
 }
 
-/// What a camera says reaches log and messages: short, and without control characters.
+/// Text from a camera reaches log and messages short, and without control characters.
 #[test]
 fn what_a_camera_says_is_cut_short() {
     let host = "x".repeat(3000) + ".example";

@@ -22,7 +22,7 @@ fn analyze(arguments: &[&str]) -> Option<Output> {
 
 #[test]
 fn the_unit_says_nothing_that_systemd_does_not_know() {
-    // What is not installed here cannot be verified: the program is one that is there.
+    // systemd verifies that the program exists: one that exists here takes its place.
     let folder = common::folder();
     let unit = folder.path().join("verge.service");
     let text = fs::read_to_string(UNIT).expect("it ships");

@@ -1,5 +1,5 @@
-//! What 0.1.0 has left on a box goes on under this version: its configuration, its lane table
-//! (format 1) and the windows in its spool (wire format 1). `tests/data/v0.1.0` is as 0.1.0 wrote it.
+//! An upgrade from 0.1.0 keeps its configuration, its lane table (format 1) and the windows in its
+//! spool (wire format 1). `tests/data/v0.1.0` is as 0.1.0 wrote it.
 
 mod common;
 #[path = "common/fake_broker.rs"]

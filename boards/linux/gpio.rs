@@ -26,7 +26,7 @@ pub enum LineError {
     Kernel {
         /// The line.
         name: &'static str,
-        /// What it says.
+        /// The system's reason.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-// What lies over the picture: dots, lengths, lines, lanes, vehicles, boxes.
+// Drawing over the picture: dots, lengths, lines, lanes, vehicles, boxes.
 
 import { toScreen } from "./stage.js";
 

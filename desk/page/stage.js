@@ -6,7 +6,7 @@
  * @typedef {{scale: number, x: number, y: number}} Placed
  */
 /**
- * What takes the mouse.
+ * A receiver of the mouse.
  * @typedef {Object} Hand
  * @property {(at: Px, event: PointerEvent) => void} down
  * @property {(at: Px, event: PointerEvent) => void} move
@@ -37,7 +37,7 @@ export class Stage {
     this.placed = { scale: 1, x: 0, y: 0 };
     /** @type {HTMLImageElement | null} */
     this.image = null;
-    /** Where the shown picture's middle lies against the backdrop's, px. @type {Px} */
+    /** Offset of the shown picture's middle from the backdrop's, px. @type {Px} */
     this.shift = [0, 0];
     /** @type {[number, number]} */
     this.size = [1, 1];

@@ -16,7 +16,7 @@ pub enum Failure {
     Missing {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// Reading broke off.
@@ -24,7 +24,7 @@ pub enum Failure {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// A file whose content is wrong.
@@ -34,7 +34,7 @@ pub enum Failure {
         path: PathBuf,
         /// Line from 1; 0 when the whole file is meant.
         line: usize,
-        /// What is wrong and what is expected.
+        /// The fault, and what is expected instead.
         reason: String,
     },
     /// An output that cannot be made. What was there before is untouched.
@@ -42,7 +42,7 @@ pub enum Failure {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// An output folder that holds something already.

@@ -16,7 +16,7 @@ use tiny_http::{Header, Method, Request, Server, StatusCode};
 const MAX_BODY: u64 = 4 << 20;
 /// Requests that are answered at the same time.
 const WORKERS: usize = 4;
-/// What a browser may do with the page: nothing from elsewhere, nothing to elsewhere.
+/// Content security policy of the page: nothing is loaded from, or sent to, another origin.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' \
                       blob: data:; connect-src 'self'; base-uri 'none'; form-action 'none'; \
                       frame-ancestors 'none'";
@@ -27,7 +27,7 @@ pub struct Loopback {
     token: String,
 }
 
-/// What the page asks for, its token resolved.
+/// A request of the page, its token checked.
 pub enum Asked<'a> {
     /// A path without its query.
     Get(&'a str),
@@ -53,7 +53,7 @@ impl Reply {
         Self::of("application/json", text)
     }
 
-    /// What was asked for cannot be done; `text` is JSON that says why.
+    /// The answer to a request that cannot be met; `text` is JSON with the reason.
     pub fn refused(text: impl Into<Vec<u8>>) -> Self {
         Reply { status: 422, ..Self::json(text) }
     }

@@ -15,7 +15,7 @@ use crate::whole::{make_parent, write_whole};
 use clap::Command;
 use std::path::Path;
 
-/// What clap does not know of a command.
+/// The part of a command's manual page that clap does not know.
 #[derive(Clone, Copy, Debug)]
 pub struct Page {
     /// Name of the command; empty for the program itself.
@@ -84,7 +84,7 @@ impl Manual {
         hold(page, &self.markdown());
     }
 
-    /// What is wrong with the pages: a command without one, a page without a command, and
+    /// All faults of the pages: a command without one, a page without a command, and
     /// examples that the program would not take.
     pub fn faults(&self) -> Vec<String> {
         let mut faults = Vec::new();

@@ -41,7 +41,8 @@ pub fn make_parent(path: &Path) -> Result<(), Failure> {
 
 /// Files to be written together: all are staged before the first takes its place.
 ///
-/// What is not committed leaves no trace, and old files as they were.
+/// Files that appear together, at the commit. Dropped before it, it leaves old files as they were
+/// and nothing else behind.
 #[derive(Debug, Default)]
 pub struct Batch {
     staged: Vec<(TempPath, PathBuf)>,

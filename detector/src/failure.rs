@@ -14,7 +14,7 @@ pub enum Failure {
     Infeasible {
         /// The constraint that cannot hold.
         constraint: String,
-        /// What would make it hold.
+        /// A change that would satisfy it.
         remedy: String,
     },
 }

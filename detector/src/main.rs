@@ -21,7 +21,7 @@ enum Command {
     Mix(mix::Arguments),
     /// Precision, recall and average precision of a detections file.
     Eval(eval::Arguments),
-    /// What verge makes of a model file: head, cost, what runs where; and a sidecar to start from.
+    /// Describe a model file as verge reads it: head, cost, what runs where; and draft its sidecar.
     Check(check::Arguments),
     /// Write the manual pages into a folder, for packages.
     #[command(hide = true)]

@@ -1,4 +1,4 @@
-//! What the manual says of `verge-detector` beyond its command line: exit codes and examples.
+//! Manual pages of `verge-detector`: exit codes and examples, which clap does not know.
 
 use clap::Command;
 use verge_desk::manual::{Manual, Page};

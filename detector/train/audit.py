@@ -69,7 +69,7 @@ def light(frame, img):
 
 
 def labels(root, frame, width, height):
-    """What the data set itself says, as x0 y0 x1 y1 class."""
+    """The data set's own labels, as x0 y0 x1 y1 class."""
     stem = os.path.join(root, frame).replace("/images/", "/labels/").rsplit(".", 1)[0]
     names = {"sg_lta": data.SG_LTA, "atl_v2": data.ATL_V2, "topview_vehicle": data.TOPVIEW}
     names = names.get(frame.split("/")[0])
@@ -158,7 +158,7 @@ def numbers(text):
 
 
 def places(lines):
-    """What stands at fixed places, from the lines that begin with a star."""
+    """Vehicles at fixed places, from the lines that begin with a star."""
     found = []
     for first, *words in lines:
         for item in words[0][2:].split(";") if first == "*" else []:

@@ -94,7 +94,7 @@ def suppressed(rows, union, smaller):
 
 
 def write(args):
-    """What a network finds on every audited frame, for `count_audit.py`."""
+    """Detections of a network on every audited frame, for `count_audit.py`."""
     names = list(range(len(data.CLASSES) - 1))
     width, height = (int(v) for v in args.size.split("x"))
     path = args.model if (width, height) == (640, 480) else resized(args.model, width, height)

@@ -20,13 +20,13 @@ SEED = 20210320
 # Pictures in all, and in one step.
 PICTURES = 1200
 BATCH = 2
-# What a weight and a bias change by at first: in steps of the weight's scale, and of the scale of
-# what the convolution puts out (logits have `LOGIT` for one).
+# First change of a weight and of a bias: in steps of the weight's scale, and of the scale of the
+# convolution's output (logits have `LOGIT` for one).
 RATE = 0.006
 LOGIT = 0.05
 # The same for an activation's scale, in parts of itself.
 RATE_SCALE = 3e-3
-# What a cell counts where the teacher sees nothing, and a column of distances beside one of scores.
+# Weight of a cell where the teacher sees nothing, and of a column of distances beside one of scores.
 FLOOR = 0.01
 DISTANCES = 0.25
 

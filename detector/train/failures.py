@@ -22,7 +22,7 @@ TILE = (640, 480)
 
 
 def judged(truth, rows, overlap):
-    """Which labels are found and which boxes have none, best boxes first."""
+    """The labels that are found and the boxes without one, best boxes first."""
     found, wrong = np.zeros(len(truth), bool), []
     for row in sorted(rows, key=lambda r: -r[4]):
         shared = geometry.iou(np.array([row[:4]], np.float32), truth)[0] * ~found

@@ -1,4 +1,4 @@
-"""Which output row answers for which vehicle, and what an error costs.
+"""Assignment of output rows to vehicles, and the cost of errors.
 
 Dynamic assignment as NanoDet-Plus does it (overlap, score and a soft centre prior), quality
 focal loss for the vehicle score, GIoU and distribution focal loss for the box, and a softmax

@@ -66,7 +66,7 @@ def folded(path):
 
 
 class Plan:
-    """Which tensors are rounded, and which share a scale."""
+    """The tensors that are rounded, and those that share a scale."""
 
     def __init__(self, graph):
         self.graph = graph

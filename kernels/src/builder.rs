@@ -14,7 +14,7 @@ use crate::pixels::Window;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Tensor(usize);
 
-/// What the kernels cannot do.
+/// A net that the kernels cannot run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlanError {
     reason: String,

@@ -1,4 +1,4 @@
-//! What the unsafe code relies on, checked before each step where assertions are on.
+//! Preconditions of the unsafe code, checked before each step where assertions are on.
 //!
 //! Owns how far an operation reads and writes. The plan (`builder`, `layout`) promises that all
 //! of it lies inside the arena and that no output lies over an input; a plan that broke its
@@ -20,7 +20,7 @@ impl Extent {
     }
 }
 
-/// What an operation reads of each input, writes, and needs of the scratch memory, bytes.
+/// Bytes that an operation reads of each input, writes, and needs as scratch memory.
 struct Reach {
     from: Extent,
     to: Extent,

@@ -1,4 +1,4 @@
-//! Which instruction set the kernels use, found when the program runs.
+//! Choice of the instruction set for the kernels, at run time.
 
 use crate::lanes::{Lanes, Portable};
 

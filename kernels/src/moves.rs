@@ -1,4 +1,4 @@
-//! Pooling, weaving, adding, enlarging, copying: what is neither a product nor a sum of many.
+//! Pooling, weaving, adding, enlarging, copying: the operations without products of many inputs.
 //!
 //! Plain loops over pixels, compiled once for each instruction set.
 

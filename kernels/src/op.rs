@@ -13,7 +13,7 @@ pub(crate) struct Place {
     pub stride: usize,
 }
 
-/// What a step does.
+/// The operation of a step.
 #[derive(Clone, Debug)]
 pub(crate) enum Op {
     Product {

@@ -47,7 +47,7 @@ pub struct Conv<'a> {
     pub pad: usize,
     /// Each output channel sees its own input channel only.
     pub depthwise: bool,
-    /// What sums are rounded to before the activation, where a model asks for that.
+    /// Quantisation of the sums before the activation, where the model has one there.
     pub before: Option<QuantParams>,
     /// Leaky rectifier: the factor below 0. 0 is the plain rectifier.
     pub slope: Option<f32>,
@@ -55,7 +55,7 @@ pub struct Conv<'a> {
     pub out: Option<QuantParams>,
 }
 
-/// What happens to a sum before it is stored.
+/// Scaling, bias and activation, applied to a sum before it is stored.
 #[derive(Clone, Debug)]
 pub(crate) struct Finish {
     /// Steps of the output that one of the sum is worth, by channel, filled up with 0.
@@ -76,7 +76,7 @@ pub(crate) struct Packed {
     /// By panel, four inputs, channel: four bytes. Depthwise: by tap column, group of four
     /// rows, channel.
     pub weights: Vec<u8>,
-    /// What sums start from, by channel.
+    /// Initial value of the sums, by channel.
     pub start: Vec<i32>,
     /// Channels of the output.
     pub channels: usize,

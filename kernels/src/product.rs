@@ -13,9 +13,9 @@ const BLOCK: usize = 96;
 
 /// Packed weights that pixels are multiplied by, on the lanes `S`.
 pub(crate) trait Matrix<S: Lanes> {
-    /// What inputs and weights are stored in.
+    /// Type of inputs and weights in memory.
     type Stored: Copy;
-    /// What outputs are counted in.
+    /// Type of outputs.
     type Out: Copy;
     /// Whether narrow registers take tiles of twice the pixels: no sums of four to be held.
     const LONG: bool;

@@ -37,7 +37,7 @@ impl Random {
     }
 }
 
-/// What a convolution looks like, without its numbers.
+/// Shape of a convolution, without its numbers.
 #[derive(Clone, Copy, Debug)]
 struct Form {
     channels: usize,

@@ -1,4 +1,4 @@
-//! Which image point of a box stands for a vehicle on the road: measured against the truth.
+//! Which image point of a box is the vehicle's place on the road? Four rules against the truth.
 //!
 //! For each scene and traffic state, 15 minutes of truth boxes are mapped to the road through
 //! the true camera by four rules, counted in the measured stretch of the lane they fall into,

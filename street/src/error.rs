@@ -19,7 +19,7 @@ pub enum Error {
     SceneSyntax {
         /// The file, or `<text>`.
         origin: String,
-        /// What the TOML reader said, with line and column.
+        /// The TOML reader's message, with line and column.
         message: String,
     },
     /// A value of the scene is outside its range.
@@ -29,9 +29,9 @@ pub enum Error {
         origin: String,
         /// The key, with its table.
         key: String,
-        /// What stands there.
+        /// The value given.
         value: String,
-        /// What may stand there.
+        /// The values allowed.
         expected: String,
     },
     /// A lane has no stretch on which whole vehicles are seen.
@@ -57,7 +57,7 @@ pub enum Error {
     Jpeg {
         /// The frame's name.
         frame: String,
-        /// What the encoder said.
+        /// The encoder's message.
         message: String,
     },
 }

@@ -1,4 +1,4 @@
-//! What goes wrong with the camera at an instant: sway, a turn to another view, a stuck or
+//! Faults of the camera at an instant: sway, a turn to another view, a stuck or
 //! black picture.
 //!
 //! Owns the camera that took a frame, which may differ from the camera as installed. Owns no
@@ -13,7 +13,7 @@ use crate::scene::{Ptz, Scene};
 /// Frequency of a lamp pole's sway in wind, Hz.
 const SWAY_HZ: f64 = 1.3;
 
-/// What a frame shows.
+/// The kind of picture that a frame has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Picture {
@@ -32,7 +32,7 @@ pub struct View {
     pub aim: Camera,
     /// Rotation of the sway in camera axes.
     pub sway: Rotation3<f64>,
-    /// What the frame shows.
+    /// The kind of picture.
     pub picture: Picture,
 }
 

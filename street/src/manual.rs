@@ -1,4 +1,4 @@
-//! What the manual says of `street` beyond its command line: files, exit codes, examples.
+//! Manual pages of `street`: files, exit codes and examples, which clap does not know.
 
 use clap::Command;
 use verge_desk::manual::{Manual, Page};

@@ -1,4 +1,4 @@
-//! Which vehicle each pixel shows: outlines filled from far to near at the picture's resolution.
+//! The vehicle that each pixel shows: outlines filled from far to near at the picture's resolution.
 //!
 //! Owns occlusion. An outline is the union of the convex hulls of a mesh's parts, so it is that
 //! of the body drawn. Barriers hide too. Owns no colours.

@@ -34,7 +34,7 @@ const FILE_STEM: &str = "%Y%m%dT%H%M%S%.3fZ";
 pub struct Frame {
     /// The picture before JPEG.
     pub picture: Image,
-    /// What is in it.
+    /// Its true content.
     pub truth: FrameTruth,
 }
 

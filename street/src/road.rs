@@ -111,7 +111,7 @@ impl Road {
     }
 }
 
-/// Which way traffic of a lane moves, seen from the camera.
+/// Direction of a lane's traffic, seen from the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Direction {

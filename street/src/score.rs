@@ -1,4 +1,4 @@
-//! What was measured in a recording against its truth: flow, speed and occupancy of each lane.
+//! Score of a measured recording against its truth: flow, speed and occupancy of each lane.
 //!
 //! Owns the reading of `truth.jsonl` and of the windows that `verge replay --json` prints, and the
 //! table. The truth of a window is summed over its frames (see `truth.rs`).
@@ -78,7 +78,7 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
             _ => 0.0,
         };
         let mut sums: BTreeMap<u8, Sums> = BTreeMap::new();
-        // What the first frame tells was before it.
+        // The first frame's sums are of the time before it.
         for lane in within.iter().skip(1).flat_map(|frame| &frame.lanes) {
             let sum = sums.entry(lane.lane).or_default();
             sum.length_m = lane.length_m;

@@ -80,7 +80,7 @@ pub struct Snapshot {
     pub red: Vec<bool>,
 }
 
-/// What the vehicles of a lane did on its measured stretch since it was last asked, by their footprints'
+/// Motion of a lane's vehicles on its measured stretch since the last query, by their footprints'
 /// centres: flow, density and speed by Edie's definitions follow from it, and at the section in the
 /// stretch's middle the count and the time occupancy.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -187,7 +187,7 @@ impl Simulation {
         self.scene.light = light;
     }
 
-    /// What each lane's vehicles did since this was last asked, in the scene's order.
+    /// The motion of each lane's vehicles since the last call, in the scene's order.
     pub fn take_moved(&mut self) -> Vec<Moved> {
         std::mem::replace(&mut self.moved, vec![Moved::default(); self.measured.len()])
     }

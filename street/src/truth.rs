@@ -38,8 +38,8 @@ pub struct FrameTruth {
     pub frame: String,
     /// UTC, RFC 3339.
     pub time: String,
-    /// What the frame shows. Frozen frames list the vehicles of the frame they repeat, black
-    /// frames none; lanes always tell the street's true state at `time`.
+    /// The kind of picture. Frozen frames list the vehicles of the frame they repeat, black
+    /// frames none; lanes always have the street's true state at `time`.
     pub picture: Picture,
     /// Vehicles in the picture, nearest first.
     pub vehicles: Vec<VehicleTruth>,

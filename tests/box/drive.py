@@ -162,7 +162,7 @@ class Checks:
         return said + "; back as video3"
 
     def counted(self):
-        """What the health message says of the faults so far."""
+        """The faults so far, from the health message."""
         stream = self.broker.latest["health"]["stream"]
         if stream["flagged"] < 1 or stream["reopened"] < 5:
             raise Failed(f"{stream}")

@@ -1,5 +1,5 @@
-//! What the box's shell cannot say to the kernel: a control of a camera, a word to a sensor,
-//! a thread that is to stand still, pictures to a camera that plays them.
+//! Kernel calls that the box's shell has no command for: a camera's control, a write to a sensor, a
+//! thread that is stopped, pictures for a camera that plays them.
 //!
 //! Compiled by `run` with nothing but the compiler:
 //!

@@ -12,7 +12,7 @@ import time
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 BOX = ROOT / "target/box"
-# Where vivid stands after boot.
+# State of vivid after boot.
 VIDEO = "/dev/video0"
 
 
@@ -121,8 +121,8 @@ class Machine:
         return line.decode(errors="replace").strip("\r ")
 
     def wait_for_boot(self, limit_s=180):
-        """What the first process says when it listens: seconds since the kernel's start, and
-        what the watchdog says of the time before."""
+        """The first process's words when it listens: seconds since the kernel's start, and the
+        watchdog's boot status."""
         deadline = time.monotonic() + limit_s
         while "@boot" not in (line := self.line(deadline - time.monotonic())):
             pass
@@ -180,7 +180,7 @@ class RaspberryPi(Machine):
                 "-append", "console=ttyAMA0 console=ttyAMA1 quiet panic=-1"]
 
     def heat(self, celsius):
-        """What surrounds the sensor, set from outside the machine."""
+        """The surroundings of the sensor, set from outside the machine."""
         with connected(self.qmp) as qmp, qmp.makefile("rw") as said:
             path = {"path": "/machine/peripheral/thermometer", "property": "temperature"}
             for command in ({"execute": "qmp_capabilities"},

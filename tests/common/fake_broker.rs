@@ -8,7 +8,7 @@ use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// What a broker does with a client.
+/// Behaviour of a broker towards a client.
 #[derive(Clone, Debug, Default)]
 pub struct Manners {
     /// Versions that it speaks: 4 (3.1.1), 5, or both where empty.
@@ -41,7 +41,7 @@ pub struct Manners {
     pub ends_after: Option<usize>,
 }
 
-/// What a broker has seen.
+/// Everything that a broker has seen.
 #[derive(Debug, Default)]
 pub struct Seen {
     /// When each CONNECT came, and in which version.

@@ -1,4 +1,4 @@
-//! What the end-to-end tests share: where data lies, and running the program.
+//! Shared by the end-to-end tests: where data lies, and running the program.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 pub mod mosquitto;
@@ -29,7 +29,7 @@ pub fn verge(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_verge")).args(args).output().expect("the program starts")
 }
 
-/// What a program wrote to standard error.
+/// The standard error of a finished program.
 pub fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }

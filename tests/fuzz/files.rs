@@ -100,7 +100,7 @@ fn configurations() {
             assert!(!config.interval().is_zero());
             assert!(!config.root_topic().is_empty());
         }
-        // What is wrong stands in the last line, behind a quotation of the file.
+        // The reason is in the last line, behind a quotation of the file.
         outcome(result, |config| format!("{:?}", config.mqtt.format))
             .lines()
             .last()

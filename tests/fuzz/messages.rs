@@ -81,7 +81,7 @@ fn wire_messages() {
             let bytes = wire::encode(message, &mut buffer).expect("what was read can be written");
             assert!(bytes.len() <= wire::MAX_MESSAGE, "{} bytes", bytes.len());
             let density = verge::messages::density(message, None);
-            // What the check lets through is written by every format, and read again.
+            // A message that passes the check is written in every format, and read back.
             if density.check().is_ok() {
                 export(&density);
                 assert_eq!(read(&verge_messages::json(&density)).as_ref(), Ok(&density));

@@ -1,4 +1,4 @@
-//! What an RTSP camera sends: descriptions, packets, whole sessions.
+//! Input of an RTSP camera: descriptions, packets, whole sessions.
 
 use super::runner::Target;
 use super::{magnitude, outcome};

@@ -20,7 +20,7 @@ const CORPUS: usize = 512;
 /// Seed where `VERGE_FUZZ_SEED` does not give one.
 const SEED: u64 = 20_260_105;
 
-/// What is run.
+/// One fuzz target.
 pub struct Target<'a> {
     /// Its name in reports.
     pub name: &'a str,

@@ -6,7 +6,7 @@ use verge::daemon::capture::decode;
 use verge::daemon::capture::picture::scan::Pictures;
 use verge::daemon::frame::Picture;
 
-/// What cameras send as a stream: with and without lengths, with dashes of their own.
+/// Streams of cameras: with and without lengths, with dashes of their own.
 fn begin_with() -> Vec<Vec<u8>> {
     let picture = common::jpeg(16, 8, 90);
     let stream = |part: &str, end: &str| {

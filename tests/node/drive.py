@@ -40,7 +40,7 @@ class Qemu:
 
     def __init__(self, folder):
         self.folder = folder
-        # What the stack has not touched since the last reset stays painted.
+        # Memory that the stack has not touched since the last reset stays painted.
         (folder / "paint").write_bytes(bytes([PAINT]) * STACK[1])
         self.uart_path = str(folder / "uart")
         qmp_path = str(folder / "qmp")
@@ -154,7 +154,7 @@ class Cable:
 
 
 def node(cable, *arguments):
-    """What `verge node` prints."""
+    """The output of `verge node`."""
     command = [VERGE, "node", "--device", cable.device, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=30)
     return done.returncode, done.stdout, done.stderr

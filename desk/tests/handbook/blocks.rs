@@ -2,10 +2,10 @@
 //!
 //! ` ```sh run ` runs in a folder that the blocks of a page share, in their order, with the programs
 //! of this build on the path; `with=openssl` names a program that must be there, or the block and
-//! the rest of its page are skipped; `numbers=about` compares what is printed without its digits. Of ` ```console run ` each line behind `$ ` runs, and what
-//! follows must come out; `[..]` is any text within a line and `...` any lines. ` ```sh needs=X `
-//! does not run: X is one of [`NEEDS`]. A block of another language with `file=NAME` is written to
-//! that file, before what follows it runs.
+//! the rest of its page are skipped; `numbers=about` compares output without its digits. Of
+//! ` ```console run ` each line behind `$ ` runs, and must print the lines that follow it; `[..]` is
+//! any text within a line and `...` any lines. ` ```sh needs=X ` does not run: X is one of [`NEEDS`].
+//! A block of another language with `file=NAME` is written to that file, before later blocks run.
 
 use crate::pages::{all, root};
 use std::fs;
@@ -78,7 +78,7 @@ fn every_block_runs_or_says_why_not() {
                 faults.push(format!("{}:{}: ```{}", page.path, block.line, block.info));
             }
         }
-        // What is only indented is neither marked nor run.
+        // Blocks that are only indented are neither marked nor run.
         let mut inside = false;
         for (index, line) in page.text.lines().enumerate() {
             inside ^= line.trim_start().starts_with("```");
@@ -162,7 +162,7 @@ fn run_page(path: &str, text: &str, programs: &Path) -> usize {
         }
         ran += 1;
     }
-    // What a block has left running in the background.
+    // Ends programs that a block left running in the background.
     for group in groups {
         let _ =
             Command::new("kill").args(["--", &format!("-{group}")]).stderr(Stdio::null()).status();
@@ -170,7 +170,7 @@ fn run_page(path: &str, text: &str, programs: &Path) -> usize {
     ran
 }
 
-/// What packages install below `/usr/share/verge`, and recordings of the tests.
+/// The files that packages install below `/usr/share/verge`, and recordings of the tests.
 fn given(folder: &Path) -> String {
     let tree = root().canonicalize().expect("the tree");
     let share = folder.join("share");

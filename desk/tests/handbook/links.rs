@@ -38,7 +38,7 @@ fn anchor(heading: &str) -> String {
         .collect()
 }
 
-/// What is wrong with a link from a page.
+/// The fault of a link from a page, if it has one.
 fn fault(from: &str, target: &str) -> Option<String> {
     if target.starts_with("http://") || target.starts_with("https://") {
         return None;

@@ -1,7 +1,7 @@
 //! No document names a key, command, option, topic, alarm or metric that the code does not have.
 //!
-//! What the code has is read from `docs/reference/`, whose pages are generated from it, or held to
-//! it, by tests of the crates.
+//! Names in the code are read from `docs/reference/`, whose pages are generated from it or checked
+//! against it by tests of the crates.
 
 use crate::pages::{Page, all, page, prose, spans};
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,7 +18,7 @@ fn sections(text: &str) -> BTreeMap<&str, &str> {
     parts.filter_map(|part| part.split_once('\n')).collect()
 }
 
-/// What the code has.
+/// Names that exist in the code.
 struct Known {
     /// `camera.source` and all others.
     keys: BTreeSet<String>,
@@ -63,7 +63,7 @@ impl Known {
         known
     }
 
-    /// What is wrong with a code span, or with a line of a block of code.
+    /// The fault of a code span, or of a line of a code block.
     fn fault(&self, code: &str) -> Option<String> {
         let code = code.trim().trim_start_matches("$ ");
         if let Some(fault) = code.split('|').find_map(|part| self.command_fault(part.trim())) {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 pub struct Page {
     /// Path from the root of the tree, with `/`.
     pub path: String,
-    /// What is in it.
+    /// Its Markdown.
     pub text: String,
 }
 

@@ -2,7 +2,7 @@
 
 use super::matching::{Frame, Outcome, Prepared, Size};
 
-/// What is scored together.
+/// A subset of the data that gets a score of its own.
 #[derive(Clone, Debug)]
 pub struct Slice {
     /// `all`, `day`, `small`, `camera 1005`, ...

@@ -1,4 +1,4 @@
-//! Which detection finds which vehicle: the greedy matching of pycocotools `COCOeval`.
+//! Matching of detections to vehicles: the greedy matching of pycocotools `COCOeval`.
 //!
 //! The rules, from `COCOeval.evaluateImg`: detections by falling score; each takes the free
 //! vehicle with the largest overlap of at least the threshold; a counted vehicle goes before an
@@ -71,7 +71,7 @@ pub const SIZES: [Size; 3] = [
     Size { name: "large", least: 9216.0, most: 1e10 },
 ];
 
-/// What became of a detection.
+/// The outcome of one detection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Outcome {
     pub score: f64,

@@ -58,7 +58,7 @@ pub fn allocate(
     Err(diagnose(available, sets, scenarios, balance))
 }
 
-/// Which family of constraints leaves nothing: the one without which something is left.
+/// The family of constraints that makes the problem infeasible: without it, a solution exists.
 fn diagnose(
     available: &[Vec<usize>],
     sets: &[String],

@@ -51,7 +51,7 @@ impl Builder {
         (at, first)
     }
 
-    /// What each activation takes of the memory; parts of others nothing.
+    /// Memory that each activation takes; parts of others take none.
     fn blocks(&self, outputs: &[Tensor]) -> Vec<Block> {
         let mut blocks = vec![Block { bytes: 0, life: (usize::MAX, 0) }; self.activations.len()];
         let mut touch = |tensor: Tensor, at: usize| {

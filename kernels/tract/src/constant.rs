@@ -138,7 +138,7 @@ pub fn keep_quantised(model: &mut InferenceModel) {
     }
 }
 
-/// What `node` makes whole numbers into, if it is a DequantizeLinear of constants that only
+/// The constant that `node` dequantises, if it is a DequantizeLinear of constants that only
 /// convolutions read.
 fn constant(model: &InferenceModel, node: &InferenceNode) -> Option<Constant> {
     let readers = &node.outputs.first()?.successors;

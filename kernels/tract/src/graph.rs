@@ -1,4 +1,4 @@
-//! What a typed model says: constants behind a value, quantisation, who reads what.
+//! Questions about a typed model: constants behind a value, quantisation, the readers of a value.
 //!
 //! Owns how tract writes these; knows nothing of the kernels but their [`QuantParams`].
 

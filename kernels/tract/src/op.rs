@@ -53,7 +53,7 @@ impl Subnet {
         self.lowered.plan.isa()
     }
 
-    /// What each column of the only output is made from, where that is rows of cells.
+    /// The parts of each column of the only output, where that is rows of cells.
     pub fn parts(&self) -> Option<&[Part]> {
         match &self.lowered.exits[..] {
             [exit] => match &exit.form {
@@ -162,7 +162,7 @@ impl SubnetState {
         entries.into_iter().try_for_each(|(index, (entry, input))| self.take(index, entry, input))
     }
 
-    /// What was computed, as the model has it.
+    /// The computed output, in the model's own type and layout.
     ///
     /// # Errors
     /// Where `subnet` is another one's.
@@ -179,7 +179,7 @@ impl SubnetState {
                 let QuantParams { scale, zero_point } = quant;
                 let (unit, zero) = (1.0 / scale, f32::from(zero_point));
                 let to_byte = move |value: f32| {
-                    // What is not a number becomes 0: `max` gives the other one.
+                    // NaN becomes 0: `max` returns its other operand.
                     let value = (value * unit).max(-zero).min(255.0 - zero);
                     // The sum's last bits are the whole number; a conversion takes twice as long.
                     ((value + ROUND).to_bits() as u8).wrapping_add(zero_point)

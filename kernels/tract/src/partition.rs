@@ -1,4 +1,4 @@
-//! Which nodes of a model go onto the kernels together.
+//! Partition of a model's nodes into regions for the kernels.
 //!
 //! Owns the colouring. All nodes that are recognised and of one colour become one operator;
 //! what is not recognised stays with tract, node by node, between them.
@@ -18,7 +18,7 @@ pub(crate) struct Region {
     pub(crate) lowered: Lowered,
 }
 
-/// What was recognised, and why the rest was not.
+/// The recognised regions, and the reasons for the rest.
 #[derive(Debug)]
 pub(crate) struct Partition {
     pub(crate) regions: Vec<Region>,
@@ -33,7 +33,7 @@ fn computed(model: &TypedModel) -> TractResult<(Vec<usize>, HashSet<usize>)> {
         let node = model.node(id);
         if !set.contains(&id) && node.inputs.iter().any(|input| set.contains(&input.node)) {
             set.insert(id);
-            // What the shape alone decides is constant.
+            // Nodes that depend on shapes alone are constant.
             if !node.op_is::<Const>() {
                 order.push(id);
             }
@@ -166,7 +166,7 @@ pub(crate) fn partition(model: &TypedModel, isa: Isa) -> TractResult<Partition> 
     }
 }
 
-/// What is read outside of `nodes`, by tract or as it was `asked` for by another region.
+/// Outlets read outside of `nodes`, by tract or, as `asked`, by another region.
 fn outputs(model: &TypedModel, nodes: &[usize], asked: &HashSet<OutletId>) -> Vec<OutletId> {
     let inside: HashSet<usize> = nodes.iter().copied().collect();
     let outlets = nodes

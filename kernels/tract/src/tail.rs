@@ -1,4 +1,4 @@
-//! What a net does behind its last convolutions, cell by cell.
+//! The part of a net behind its last convolutions, cell by cell.
 //!
 //! Owns turning a cell's raw values into the row that the model describes; of most cells no
 //! score can reach the threshold, and their rows are never made.
@@ -100,7 +100,7 @@ pub(crate) fn complete(parts: &[Part], raw: &[f32], row: &mut Vec<f32>) {
     }
 }
 
-/// Which cells may have a column that reaches a threshold, told by their raw values.
+/// A test of a cell's raw values: can any of its columns reach a threshold?
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gate {
     /// Raw columns one of which must reach `least`.

@@ -38,7 +38,7 @@ pub struct Scene {
     pub warmup_s: f64,
     /// The camera.
     pub camera: CameraSpec,
-    /// What the camera does to its picture.
+    /// Optics and sensor noise.
     #[serde(default)]
     pub imaging: Imaging,
     /// Light and weather.
@@ -52,7 +52,7 @@ pub struct Scene {
     /// Painted lines along the road.
     #[serde(default, rename = "marking")]
     pub markings: Vec<Marking>,
-    /// What lies beside the lanes.
+    /// Ground and objects beside the lanes.
     #[serde(default)]
     pub roadside: Roadside,
     /// Shares of vehicle classes.
@@ -61,7 +61,7 @@ pub struct Scene {
     /// Where density is measured.
     #[serde(default)]
     pub measure: Measure,
-    /// What goes wrong with the camera.
+    /// Faults of the camera.
     #[serde(default)]
     pub faults: Faults,
 }
@@ -217,7 +217,7 @@ impl Default for FleetMix {
     }
 }
 
-/// Which stretch of a lane counts.
+/// The measured stretch of a lane.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Measure {
@@ -235,7 +235,7 @@ impl Default for Measure {
     }
 }
 
-/// What goes wrong with the camera. Times are seconds after the first frame.
+/// Faults of the camera. Times are seconds after the first frame.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Faults {

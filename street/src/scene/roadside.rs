@@ -4,7 +4,7 @@
 
 use serde::Deserialize;
 
-/// What lies and stands beside the carriageway.
+/// Ground and objects beside the carriageway.
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Roadside {
@@ -28,7 +28,7 @@ pub struct Roadside {
     pub lamps: Vec<LampRow>,
 }
 
-/// What a strip of ground is made of.
+/// Surface of a strip of ground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Ground {

@@ -1,4 +1,4 @@
-//! What a vehicle's shape is made of: flat faces with a material, decals, and convex parts.
+//! The mesh of a vehicle: flat faces with a material, decals, and convex parts.
 //!
 //! Owns the data that the renderer and the truth share, so that boxes and pictures are of the
 //! same body. Shapes are made in `bodies.rs`.
@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 
 use super::{MODELS, bodies};
 
-/// What a face is made of; colours come from the vehicle's livery and the light.
+/// Material of a face; colours come from the vehicle's livery and the light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Material {
     /// Body paint.

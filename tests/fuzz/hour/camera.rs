@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 /// Most memory that the daemon may take, MB.
 const BOUND_MB: f64 = 128.0;
 
-/// What cameras send, and pieces of it.
+/// Bytes of cameras, whole and in pieces.
 pub struct Pictures {
     right: Vec<Vec<u8>>,
     odd: Vec<Vec<u8>>,

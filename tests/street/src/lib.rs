@@ -1,4 +1,4 @@
-//! What the tests on the simulated street share: scenes, lane tables, the program.
+//! Shared by the tests on the simulated street: scenes, lane tables, the program.
 //!
 //! A package of its own, so that the daemon's tests build neither the simulator nor calibration.
 
@@ -36,7 +36,7 @@ pub fn scene(name: &str, changes: &[&str]) -> Scene {
     Scene::parse(&text, &path.to_string_lossy(), &changes).expect("a right scene")
 }
 
-/// What a lane table of the street has beside its lanes.
+/// Parts of a lane table of the street beside its lanes.
 #[derive(Clone, Copy, Default)]
 pub struct Extras {
     /// Pictures that its reference of the scene is made of; without any it has none.

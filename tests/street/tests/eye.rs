@@ -1,5 +1,5 @@
 //! Picture health and the moved camera, on the simulated street and on the real one.
-//! Longer runs of the same: `calib/examples/scene.rs`; results in docs/explanation/health.md.
+//! Longer runs of the same: `calib/examples/scene.rs`; results in docs/measured/health.md.
 
 use mvcalib::files::calibration::Calibration;
 use mvcalib::road::scene_reference::{pictures, reference};

@@ -60,7 +60,7 @@ mod firmware {
         rgb: u32,
     }
 
-    /// What is made of it.
+    /// The verdict on one picture.
     #[repr(C)]
     #[derive(Clone, Copy)]
     struct Verdict {

@@ -1,4 +1,4 @@
-//! What follows the last convolutions: cells of several activations and their columns.
+//! Lowering of what is behind the last convolutions: cells of several activations, their columns.
 
 use super::{Lowering, Rows, Value};
 use crate::graph::Refusal;

@@ -10,7 +10,7 @@ use tract_core::ops::math::Max;
 use tract_core::ops::nn::{DataFormat, LeakyRelu};
 use verge_kernels::{Conv as Kernel, QuantParams, Shape, Weights};
 
-/// What follows a convolution.
+/// Operators behind a convolution that are fused into it.
 #[derive(Debug)]
 struct Behind {
     before: Option<QuantParams>,

@@ -1,4 +1,4 @@
-//! What moves, joins or enlarges activations.
+//! Lowering of operators that move, join or enlarge activations.
 
 use super::{Lowering, Value};
 use crate::graph::Refusal;
@@ -92,7 +92,7 @@ impl Lowering<'_> {
         }
     }
 
-    /// What a slice takes: axis, first place, and the one behind the last.
+    /// Bounds of a slice: axis, first index, and the one past the last.
     pub(super) fn bounds(&self, node: &TypedNode) -> Option<[usize; 3]> {
         if let Some(slice) = node.op_as::<Slice>() {
             return Some([slice.axis, slice.start.to_usize().ok()?, slice.end.to_usize().ok()?]);

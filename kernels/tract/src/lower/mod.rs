@@ -26,13 +26,13 @@ use verge_kernels::{Builder, Isa, Plan, QuantParams, Shape, Tensor as Activation
 pub(crate) struct Rows {
     pub(crate) levels: Vec<Activation>,
     pub(crate) parts: Vec<Part>,
-    /// Which axis the columns are: 1 as they come, 2 when turned.
+    /// Axis of the columns: 1 as they come, 2 when transposed.
     pub(crate) axis: usize,
     /// Whether height and width have become one axis.
     pub(crate) flat: bool,
 }
 
-/// What an outlet stands for.
+/// The meaning of an outlet, as far as the lowering has followed it.
 #[derive(Clone, Debug)]
 pub(crate) enum Value {
     Activation(Activation),
@@ -42,14 +42,14 @@ pub(crate) enum Value {
     Rows(Rows),
 }
 
-/// What a region reads of the model around it.
+/// An input of a region: an outlet of the model around it.
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
     pub(crate) outlet: OutletId,
     pub(crate) kind: DatumType,
 }
 
-/// What it gives.
+/// An output of a region.
 #[derive(Clone, Debug)]
 pub(crate) struct Exit {
     pub(crate) outlet: OutletId,
@@ -90,7 +90,7 @@ pub(crate) struct Lowering<'a> {
     done: HashSet<usize>,
     /// Convolutions.
     pub(crate) convolutions: usize,
-    /// What is not recognised; its outputs count as given from outside.
+    /// Nodes that were not recognised; their outputs count as given from outside.
     pub(crate) refused: Vec<(usize, Refusal)>,
 }
 
@@ -165,7 +165,7 @@ impl<'a> Lowering<'a> {
         Ok(())
     }
 
-    /// What input `index` of `node` stands for; one from outside the region becomes an entry.
+    /// The value at input `index` of `node`; one from outside the region becomes an entry.
     fn input(&mut self, node: &TypedNode, index: usize) -> Result<Value, Refusal> {
         let outlet = *node.inputs.get(index).ok_or("an input is missing")?;
         if let Some(value) = self.values.get(&outlet) {
@@ -241,7 +241,7 @@ impl<'a> Lowering<'a> {
         }
     }
 
-    /// What the output of `node` is stored in: the QuantizeLinear behind it.
+    /// Quantisation of the output of `node`: its QuantizeLinear.
     fn out_quant(&self, node: &TypedNode) -> Option<QuantParams> {
         let next = self.next(OutletId::new(node.id, 0))?;
         self.view.quantise(next).map(|(params, _)| params)
@@ -274,7 +274,7 @@ impl<'a> Lowering<'a> {
         }
     }
 
-    /// What the region reads of the model around it.
+    /// Outlets of the model around the region that it reads.
     pub(crate) fn entries(&self) -> impl Iterator<Item = OutletId> {
         self.entries.iter().map(|entry| entry.outlet)
     }

@@ -39,7 +39,7 @@ pub const MAX_WAIT: Duration = Duration::from_secs(3600);
 /// Reports that one call closes, one a window at most.
 pub type Closed<const W: usize = MAX_WINDOWS> = heapless::Vec<WindowReport, W>;
 
-/// What a line started in the middle of a window does with that window.
+/// Treatment of the window that is running when a line starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
     /// Live: it is dropped, the first report covers a whole window.

@@ -10,8 +10,8 @@ pub const SLOW_C: f32 = 70.0;
 pub const STOP_C: f32 = 80.0;
 /// How far it must cool below a limit until it is forgotten.
 pub const HYSTERESIS_C: f32 = 5.0;
-/// What an enclosure can have. LM75 and TMP102 read to 128 at both ends, where a broken
-/// sensor or bus often ends up.
+/// Temperatures that an enclosure can have. LM75 and TMP102 read to 128 at both ends, where a
+/// broken sensor or bus often ends up.
 const BELIEVABLE_C: core::ops::RangeInclusive<f32> = -50.0..=120.0;
 /// Largest change between two readings a few seconds apart: an enclosure is slow.
 const MAX_STEP_C: f32 = 20.0;
@@ -31,7 +31,7 @@ pub enum Pace {
 /// A reading that cannot be true.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unbelievable {
-    /// What was read, degrees Celsius.
+    /// The reading, degrees Celsius.
     pub read_c: f32,
 }
 

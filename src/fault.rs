@@ -15,7 +15,7 @@ pub const MOST_FAULTS: usize = 5;
 /// See [`MOST_FAULTS`].
 pub const WITHIN: Duration = Duration::from_secs(60);
 
-/// What became of a part with its latest outcome.
+/// Change of a part's state by its latest outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     /// It is as it was.

@@ -1,4 +1,4 @@
-//! What a board may have besides a camera: a lamp, a relay, a watchdog, a thermometer.
+//! Optional parts of a board: a lamp, a relay, a watchdog, a thermometer.
 //!
 //! Owns the traits that the daemon drives and their adapters over `embedded-hal`. `()` is
 //! the part that a board lacks. Knows no board and no operating system.
@@ -7,7 +7,7 @@ use embedded_hal::digital::{OutputPin, PinState};
 
 /// Something that is on or off: the status lamp, the camera's power relay.
 pub trait Switch {
-    /// What can go wrong.
+    /// Error of the hardware.
     type Error: core::fmt::Debug;
     /// Turns it on or off.
     ///
@@ -18,7 +18,7 @@ pub trait Switch {
 
 /// A timer that resets the box unless it is fed.
 pub trait Watchdog {
-    /// What can go wrong.
+    /// Error of the hardware.
     type Error: core::fmt::Debug;
     /// Starts the count, or starts it again.
     ///
@@ -34,7 +34,7 @@ pub trait Watchdog {
 
 /// Temperature inside the enclosure.
 pub trait Thermometer {
-    /// What can go wrong.
+    /// Error of the hardware.
     type Error: core::fmt::Debug;
     /// The temperature in degrees Celsius, `None` where there is no sensor.
     ///

@@ -26,7 +26,7 @@ pub const POWER_CYCLE_FIRST: Duration = Duration::from_secs(120);
 /// Longest wait between two power cycles.
 pub const POWER_CYCLE_MAX: Duration = Duration::from_secs(3600);
 
-/// What happened at one turn of the line.
+/// The event of one turn of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// A new picture went through the whole line.
@@ -43,7 +43,7 @@ pub enum Event {
     PassedOver,
 }
 
-/// What follows from an event.
+/// Consequences of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Actions {
     /// How far a measurement can be used now.

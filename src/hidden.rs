@@ -3,7 +3,7 @@
 //! Owns the estimate. Knows boxes that count and where they stand in their lanes, not pictures; what
 //! becomes of the estimate is [`crate::density`]'s.
 //!
-//! What nobody can see is missed by every detector: behind a lorry or a van that stands in a queue
+//! Every detector misses a vehicle that cannot be seen: behind a lorry or a van in a queue
 //! the next vehicle shows a strip of its roof or nothing. Distance sampling has two cures for it
 //! (Buckland, Rexstad, Marques and Oedekoven, "Distance Sampling: Methods and Applications", 2015):
 //! density is vehicles over the road that was seen, and what is known of the animals' spacing fills the
@@ -57,7 +57,7 @@ const NEARER: f32 = 0.15;
 pub struct Seen {
     /// Its box, px of the lane table's picture.
     pub bounds: PixelBox,
-    /// What kind it is.
+    /// Kind of vehicle.
     pub class: VehicleClass,
     /// Where it meets the road; `None` outside the lanes.
     pub place: Option<Place>,
@@ -103,7 +103,7 @@ pub struct Queues {
 #[derive(Clone, Copy, Debug)]
 struct Standing {
     distance_m: f32,
-    /// What it is longer than a car.
+    /// Its length beyond a car's.
     longer_m: f32,
 }
 
@@ -175,7 +175,7 @@ impl Queues {
         }
     }
 
-    /// Which part of a car at that distance is hidden by boxes that stand nearer.
+    /// The part of a car at that distance that nearer boxes hide, 0 to 1.
     fn covered(&self, line: &Line, distance_m: f32, seen: &[Seen]) -> f32 {
         let ends = [distance_m, distance_m + CAR_M].map(|m| line.middle(m));
         let [Some(near), Some(far)] = ends else { return 0.0 };

@@ -77,13 +77,13 @@ const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 pub struct Lane {
     /// Its number.
     pub id: LaneId,
-    /// Which way its traffic moves.
+    /// Direction of its traffic.
     pub direction: Direction,
     /// Length of its centre line inside the table, m.
     pub length_m: f32,
 }
 
-/// What the table says about itself.
+/// Metadata of a table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Description {
     /// The camera that it belongs to.
@@ -94,7 +94,7 @@ pub struct Description {
     pub lanes: heapless::Vec<Lane, MAX_LANES>,
     /// One standard error of a length on the road, as a fraction; `None`: not stated.
     pub length_rel_err: Option<f32>,
-    /// Which calibration it was made from, for people.
+    /// Name of the calibration it was made from, for people.
     pub calibration_id: Name,
     /// SHA-256 of the calibration file.
     pub calibration_sha256: [u8; 32],
@@ -213,7 +213,7 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
         self.bytes.as_ref().get(MAGIC.len()).copied().unwrap_or_default()
     }
 
-    /// What the table says about itself.
+    /// The table's metadata.
     pub const fn description(&self) -> &Description {
         &self.description
     }

@@ -13,15 +13,15 @@ use crate::wire::{CalibrationRef, DensityMessage, ModelRef, hex};
 use verge_messages as messages;
 use verge_messages::rounded;
 
-// What the check of a message allows is what the core can make.
+// The check of messages and the core have the same limits.
 const _: () = assert!(MAX_LANES == messages::MOST_LANES as usize);
 const _: () = assert!(MAX_LANE_CELLS == messages::MOST_CELLS);
 const _: () = assert!(MIN_WINDOW_S == messages::SHORTEST_WINDOW_S as u64);
 const _: () = assert!(MAX_WINDOW_S == messages::LONGEST_WINDOW_S as u64);
 const _: () = assert!(MAX_NAME == messages::LONGEST_NAME);
 
-/// One window of one site. `done` stands in replayed windows alone: whether it is the last of
-/// its length that was waiting.
+/// One window of one site. `done` is in replayed windows alone: whether this is the last of its
+/// length that was waiting.
 pub fn density(message: &DensityMessage, done: Option<bool>) -> messages::Density {
     let DensityMessage { site, seq, clock_synced, report, calibration, model } = message;
     let WindowReport { from, to, lanes } = report;

@@ -3,7 +3,7 @@
 //! Owns what is read from the luma of one picture and from two in a row. Reads no clock and
 //! allocates nothing; what follows from a flaw is decided in [`crate::health`]. The picture
 //! is given on the working grid (see [`crate::scene::Grid`]). Measured figures behind the
-//! thresholds: docs/explanation/health.md.
+//! thresholds: docs/measured/health.md.
 
 use core::fmt;
 
@@ -14,10 +14,10 @@ pub const BLANK_SPAN: u8 = 16;
 pub const BLINDED_SHARE: f32 = 0.35;
 /// Level from which a cell is at the top of the scale.
 const BRIGHT: usize = 248;
-/// A picture whose levels (5th to 95th part) span less shows no contrast: fog, sun in the
+/// A picture whose levels (5th to 95th percentile) span less shows no contrast: fog, sun in the
 /// lens, a dirty dome.
 pub const LEAST_CONTRAST: u8 = 24;
-/// Steepest edges (the 99th part of gradients) as a share of the contrast: below it nothing
+/// Steepest edges (the 99th percentile of gradients) as a share of the contrast: below it nothing
 /// in the picture is sharp.
 pub const LEAST_SHARPNESS: f32 = 0.15;
 /// Mean level below which it is night.
@@ -30,7 +30,7 @@ pub const STILL_LEVELS: f32 = 0.35;
 /// Blocks that may change in a picture that has not: a running clock touches up to four.
 pub const CLOCK_BLOCKS: usize = 6;
 
-/// What makes a picture useless.
+/// A flaw that makes a picture useless.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flaw {
     /// Black, or all of one level.
@@ -75,7 +75,7 @@ impl Light {
     }
 }
 
-/// What is read from one picture.
+/// Features of one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Mean level, 0 to 255.
@@ -141,7 +141,7 @@ impl Look {
         }
     }
 
-    /// What makes the picture useless, if anything does.
+    /// The flaw that makes the picture useless, if it has one.
     pub fn flaw(&self) -> Option<Flaw> {
         if self.span < BLANK_SPAN {
             Some(Flaw::Blank)

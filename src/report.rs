@@ -1,5 +1,4 @@
-//! What is reported of a lane in one window: density, flow and speed, their errors, and how far
-//! they can be used.
+//! The report of a lane in one window: density, flow and speed, their errors, and their status.
 //!
 //! Owns the types alone. `density` and `traffic` make them and hand them on, `wire` and
 //! `messages` write them.
@@ -18,7 +17,7 @@ pub const MAX_LANE_CELLS: usize = 32;
 pub struct LaneReport {
     /// The lane.
     pub lane: LaneId,
-    /// Which way its traffic moves.
+    /// Direction of its traffic.
     pub direction: Direction,
     /// Density k, veh/km.
     pub density_veh_km: Option<f32>,
@@ -42,7 +41,7 @@ pub struct LaneReport {
     /// postcard form of this type: `wire` writes it behind the rest of a message.
     #[serde(skip)]
     pub cells: Option<Cells>,
-    /// What errs beside sampling, and the interval of all together; `None` where a part of it
+    /// Errors beside sampling, and the interval of all together; `None` where a part of it
     /// is not known. Written as `cells` are.
     #[serde(skip)]
     pub error: Option<DensityError>,
@@ -99,7 +98,7 @@ pub struct LaneTraffic {
     pub time_occupancy: Option<f32>,
     /// Interval that holds it with a probability of 90 %.
     pub time_occupancy_ci90: Option<[f32; 2]>,
-    /// What passed the section.
+    /// Traffic at the section.
     pub section: Option<Section>,
     /// Mean length of the longest queue, m.
     pub queue_m: Option<f32>,
@@ -109,7 +108,7 @@ pub struct LaneTraffic {
     pub density_difference: Option<f32>,
 }
 
-/// What passed the section of a lane.
+/// Traffic at the section of a lane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Section {
     /// Vehicles, by class in the order of [`VehicleClass::ALL`].

@@ -36,7 +36,7 @@ impl<'de> Deserialize<'de> for LaneId {
     }
 }
 
-/// Which way a lane's traffic moves, as the camera sees it.
+/// Direction of a lane's traffic, as the camera sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Direction {
@@ -106,7 +106,7 @@ impl core::fmt::Display for ImageSize {
     }
 }
 
-/// What kind of vehicle a detection is.
+/// Kind of vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum VehicleClass {

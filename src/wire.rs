@@ -11,8 +11,8 @@
 //! | 1+M+C+E | T | from version 4: the [`LaneTraffic`] of each lane likewise |
 //! | 1+M+C+E+T | 4 | CRC-32 (ISO-HDLC) of all bytes before, little-endian |
 //!
-//! All four are read. Version 4 is written where a lane has traffic, else version 3, so that what
-//! measures density alone is read by older programs.
+//! All four are read. Version 4 is written where a lane has traffic, else version 3, so that older
+//! programs read the windows of a box that measures density alone.
 
 use crate::density::{Cells, DensityError, WindowReport};
 use crate::lane::{Description, Name};
@@ -50,7 +50,7 @@ pub struct CalibrationRef {
 }
 
 impl CalibrationRef {
-    /// What a lane table says of its calibration.
+    /// The calibration that a lane table names.
     pub fn of(table: &Description) -> Self {
         Self {
             id: table.calibration_id.clone(),
@@ -60,7 +60,7 @@ impl CalibrationRef {
     }
 }
 
-/// What found the vehicles.
+/// The model that found the vehicles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelRef {
     /// Its name.
@@ -82,7 +82,7 @@ pub struct DensityMessage {
     pub report: WindowReport,
     /// Where its metres come from.
     pub calibration: CalibrationRef,
-    /// What found the vehicles.
+    /// The model that found the vehicles.
     pub model: ModelRef,
 }
 

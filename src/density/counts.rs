@@ -6,7 +6,7 @@ use crate::picture::Light;
 use crate::report::{Cells, MAX_LANE_CELLS};
 use crate::units::{LaneId, MAX_LANES, VehicleClass};
 
-/// What one frame shows in one lane.
+/// Vehicles of one lane in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct LaneCount {
     pub(super) by_class: [u16; VehicleClass::COUNT],

@@ -1,8 +1,8 @@
 //! How well a density is known: sampling, calibration and counting in one interval.
 //!
 //! Owns what is known of the errors that more frames do not make smaller, and how they join the
-//! sampling error of a window. Does not know where they were measured: the calibration's stands in
-//! the lane table, the counting's beside the model or in the site's own file.
+//! sampling error of a window. Does not know where they were measured: the calibration's error is
+//! in the lane table, the counting's beside the model or in the site's own file.
 //!
 //! The three are independent, so that their variances add. With N vehicles counted a frame in a
 //! lane of length L (k = N/L, Hu et al., Eq. 1): sampling has the standard error of
@@ -31,7 +31,7 @@ pub struct Spread {
     pub relative: f32,
 }
 
-/// What is known of the counting error: by light, unless the site has an audit of its own.
+/// The counting error: by light, unless the site has an audit of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Counting {
@@ -52,7 +52,7 @@ pub struct LoadBias {
     pub factor_se: f32,
 }
 
-/// What an audit of a site has found: its own score, and its count bias by load.
+/// Result of a site's audit: its own score, and its count bias by load.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SiteCorrection {
     /// Least score that counts here; `None`: as the model has it.
@@ -99,7 +99,7 @@ pub(super) struct Load {
 pub struct Errors {
     /// The model's counting error.
     pub counting: Option<Counting>,
-    /// What an audit of this site has found.
+    /// Result of this site's audit.
     pub site: Option<SiteCorrection>,
 }
 

@@ -59,7 +59,7 @@ pub struct Detection {
     pub bounds: PixelBox,
     /// How sure it is, 0 to 1.
     pub score: f32,
-    /// What kind of vehicle.
+    /// Kind of vehicle.
     pub class: VehicleClass,
 }
 

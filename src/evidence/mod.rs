@@ -1,5 +1,5 @@
-//! Which boxes are vehicles: one score from the net's own, the class, the size that a vehicle has
-//! at that place, and the boxes beside it.
+//! Choice of the boxes that are vehicles, by one score: the net's own, the class, the size that a
+//! vehicle has at that place, and the boxes beside it.
 //!
 //! Owns the score and the choice among overlapping boxes. Does not own its weights, which were
 //! fitted to one net (its sidecar has them), nor who asks. Knows boxes, not pictures.
@@ -165,7 +165,7 @@ impl Evidence {
             + self.empty * likeness
     }
 
-    /// What the boxes that were `kept` before change: the one it lies in most, and the queue.
+    /// Evidence from the boxes that were `kept` before: the one it lies in most, and the queue.
     fn beside(
         &self,
         bounds: &PixelBox,

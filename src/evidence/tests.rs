@@ -105,7 +105,7 @@ fn what_looks_like_the_empty_road_is_no_vehicle() {
 
 #[test]
 fn in_a_queue_less_of_a_vehicle_is_enough() {
-    // What shows of a car behind a van is a weak box; alone it does not count.
+    // The visible strip of a car behind a van is a weak box; alone it does not count.
     let weak = detection(102.0, 84.0, 120.0, 104.0, 0.34);
     let queue = [[100.0, 100.0], [101.0, 122.0], [99.0, 142.0], [103.0, 62.0], [102.0, 42.0]];
     let mut boxes: Vec<_> =

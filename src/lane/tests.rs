@@ -214,7 +214,7 @@ fn the_errors_of_lanes_and_cells_are_version_4_and_come_back() {
     assert!(near(table.cell_rel_err(lane(1), 1), 0.0225));
     assert!(near(table.cell_rel_err(lane(1), 3), 6.5534), "held at the largest");
     assert!(near(table.cell_rel_err(lane(1), 4), 0.0312), "beyond the cells the lane's");
-    // What a lane does not state is the calibration's.
+    // A lane without an error of its own has the calibration's.
     assert!(near(table.lane_rel_err(lane(3)), 0.0625));
     assert!(near(table.cell_rel_err(lane(3), 0), 0.0625));
     // The block behind the description, byte by byte.

@@ -39,7 +39,7 @@ pub struct Receiver {
     zero_follows: bool,
     /// Bytes have come since the last zero.
     begun: bool,
-    /// What follows is passed over until the next zero.
+    /// Bytes are skipped until the next zero.
     skipping: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Which outputs are closed: the decision, by density and by time.
+//! The decision which outputs are closed, by density and by time.
 //!
 //! Owns hysteresis, the least time on, and the way into the fail-safe state and out of it.
 //! Time is the board's, counted from its start; the box's clock decides nothing.
@@ -9,7 +9,7 @@ use crate::units::{UtcMs, millis};
 use crate::wire::DensityMessage;
 use core::time::Duration;
 
-/// What became of a message.
+/// Effect of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heard {
     /// At least one output has a fresh reading.
@@ -56,7 +56,7 @@ impl Outputs {
         Self { lost: true, ..Self::new(Settings::default()) }
     }
 
-    /// What they work by.
+    /// Their settings.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -140,8 +140,8 @@ impl Past {
             |at, for_s: u16| millis(now).saturating_sub(millis(at)) >= i64::from(for_s) * 1000;
         let fresh = self.read_at.is_some_and(|at| !past(at, hold_s));
         if !fresh {
-            // The reading is forgotten. The fail-safe state is no detection, so that no least
-            // time on follows from it.
+            // The reading is forgotten. The fail-safe state is not a detection: it starts no least
+            // time on.
             *self = Self { closed: set.fail_safe, ..Self::default() };
             return self.closed;
         }

@@ -1,4 +1,4 @@
-//! What an engineer asks a node over its serial line, and what it answers.
+//! Requests of an engineer to a node over its serial line, and its answers.
 //!
 //! | bytes | field |
 //! |---|---|
@@ -41,7 +41,7 @@ pub enum Answer {
     Refused(SettingsError),
     /// The flash did not take the settings; the old ones stay.
     NotKept,
-    /// What it has counted since its start.
+    /// Its counters since its start.
     Counters(Counters),
 }
 

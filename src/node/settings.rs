@@ -1,4 +1,4 @@
-//! What each output does: its lane, its thresholds, its least time on, its fail-safe state.
+//! Settings of each output: its lane, its thresholds, its least time on, its fail-safe state.
 //!
 //! Owns the settings and what makes them acceptable. How they travel is [`super::protocol`]'s,
 //! where they are kept [`super::store`]'s.

@@ -25,11 +25,11 @@ const HEADER_LEN: usize = 10;
 #[derive(Debug)]
 pub struct Slots<F> {
     flash: F,
-    /// Which slot holds the present settings, and their sequence.
+    /// Slot of the present settings, and their sequence number.
     current: Option<(u32, u32)>,
 }
 
-/// What the flash holds.
+/// Content of the flash.
 #[derive(Debug, PartialEq)]
 pub enum Stored {
     /// Settings.

@@ -124,7 +124,7 @@ fn seconds(s: u64) -> Duration {
     Duration::from_secs(s)
 }
 
-/// What happens, and output 1's state right after it.
+/// An event, and output 1's state right after it.
 enum Step {
     Density(f32, bool),
     Null(bool),
@@ -170,7 +170,7 @@ fn hysteresis_and_the_fail_safe_state() {
             (40, Density(40.0, true)),
             (50, Density(30.1, true)),
             (60, Density(29.0, false)),
-            // What is unusable does not count, and keeps nothing alive.
+            // Unusable messages do not count, and keep nothing alive.
             (70, Null(false)),
             (80, Status(SampleZoneStatus::DetectionAutoSuspended, 90.0, false)),
             (90, Density(f32::NAN, false)),

@@ -23,7 +23,7 @@ pub const LEARN_SPACING: Duration = Duration::from_secs(10);
 pub const MEMORY: u32 = 256;
 /// Pictures with which half of what can be known is known.
 const HALF_KNOWN: f32 = 12.0;
-/// What a lane table's reference is worth, pictures: its points are taken from several.
+/// Weight of a lane table's reference, pictures: its points are taken from several.
 const REFERENCE_WORTH: u32 = 4;
 /// Steps of the memory for one of a field.
 const FINE: i32 = 128;
@@ -37,7 +37,7 @@ const NOISE: f32 = 6.0;
 /// One cell of the memory: a field's, times `FINE`.
 pub type MeanCell = [i16; 2];
 
-/// What is known of the road in one light.
+/// State of the memory for one light.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Known {
     /// Pictures it was learned from, up to [`MEMORY`]; a lane table's reference counts as some.
@@ -53,7 +53,7 @@ struct Learned {
     age_then: Duration,
 }
 
-/// What the road looks like without vehicles. `M` is the memory's buffer.
+/// The appearance of the road without vehicles. `M` is the memory's buffer.
 #[derive(Debug)]
 pub struct EmptyRoad<M> {
     grid: Grid,
@@ -209,7 +209,7 @@ impl<M: AsRef<[MeanCell]>> EmptyRoad<M> {
         Some(age_then.saturating_add(now.saturating_sub(at)))
     }
 
-    /// What it knows by day and by night, for [`Self::resume`].
+    /// The memory's state by day and by night, for [`Self::resume`].
     pub fn known(&self, now: Duration) -> [Known; LIGHTS] {
         [Light::Day, Light::Night]
             .map(|light| Known { seen: self.seen(light), age: self.age(light, now) })

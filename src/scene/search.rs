@@ -59,7 +59,7 @@ impl Pose {
     }
 }
 
-/// What the search found.
+/// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     /// The best pose.
@@ -79,7 +79,7 @@ impl Sighting {
     }
 }
 
-/// Least significance of a sighting that is believed. Measured (docs/explanation/health.md):
+/// Least significance of a sighting that is believed. Measured (docs/measured/health.md):
 /// pictures of other cameras reach 6.8, the same camera by day and night 11 to 34.
 pub const SURE: f32 = 8.5;
 /// Least support of a sighting that is believed; other cameras reach 0.25.

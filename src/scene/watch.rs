@@ -2,7 +2,7 @@
 //!
 //! Owns the tolerances and how many pictures a change of state takes. Reads no clock.
 //!
-//! A picture is one of four things: the scene stands in place at a preset, it stands
+//! A picture is one of four things: the scene is in place at a preset, it is
 //! displaced, another scene is seen, or nothing is known. Only the first three are
 //! evidence; in fog or in the dark the state stays what it was. Evidence is taken at most
 //! each [`SPACING`], so that a gust does not pass for a move on a fast camera, and a change
@@ -32,10 +32,10 @@ pub const SPACING: Duration = Duration::from_secs(5);
 /// tell its own.
 const RESTING: f32 = 0.2;
 
-/// What one picture says.
+/// Evidence of one picture for the camera's aim.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Evidence {
-    /// The scene of that preset stands in place, shifted by so many cells.
+    /// The scene of that preset is in place, shifted by so many cells.
     InPlace {
         /// Number of the preset, from 0.
         preset: usize,
@@ -46,14 +46,14 @@ pub enum Evidence {
     },
     /// A preset's scene is seen, but not where it was calibrated.
     Displaced,
-    /// A scene is seen that is no preset's.
+    /// Another scene than any preset's is seen.
     Elsewhere,
     /// Too dark, too blurred or too empty to tell.
     Unclear,
 }
 
 impl Evidence {
-    /// What a sighting of a preset's reference says.
+    /// The evidence in a sighting of a preset's reference.
     pub fn of(preset: usize, sighting: &Sighting, grid: Grid) -> Self {
         if !sighting.is_sure() {
             return Self::Unclear;
@@ -94,7 +94,7 @@ pub enum Aim {
     Moved,
 }
 
-/// What follows for a picture.
+/// The verdict on a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judgement {
     /// Where the camera looks.

@@ -12,7 +12,7 @@ use crate::track::LaneMoves;
 use crate::units::UtcMs;
 use core::time::Duration;
 
-/// What the clocks show.
+/// The time, by both clocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Now {
     /// The wall clock.
@@ -23,7 +23,7 @@ pub struct Now {
     pub synchronised: bool,
 }
 
-/// What came of a turn of the line.
+/// Outcome of a turn of the line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outcome<'a> {
     /// A picture of that preset was measured.
@@ -32,7 +32,7 @@ pub enum Outcome<'a> {
         preset: usize,
         /// The vehicles in it.
         counts: &'a FrameCounts,
-        /// What the vehicles have covered since the picture before, where they are followed.
+        /// Motion of the vehicles since the picture before, where they are followed.
         moves: Option<&'a LaneMoves>,
     },
     /// The camera gave the picture that it gave before.
@@ -52,7 +52,7 @@ pub enum Outcome<'a> {
 }
 
 impl Outcome<'_> {
-    /// What it says of the camera; nothing where none was asked.
+    /// The event for the camera's health; `None` where no camera was asked.
     pub const fn event(&self) -> Option<Event> {
         Some(match self {
             Self::Measured { .. } => Event::Measured,
@@ -66,7 +66,7 @@ impl Outcome<'_> {
     }
 }
 
-/// What became of the pictures since start.
+/// Counts of the pictures since start, by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Frames {
     /// Measured.
@@ -94,7 +94,7 @@ impl Frames {
     }
 }
 
-/// What the sensor asks for.
+/// A request of the sensor to its daemon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action<'a> {
     /// A window has closed: deliver it.
@@ -106,7 +106,7 @@ pub enum Action<'a> {
     },
     /// An alarm is raised or cleared: publish it.
     Alarm {
-        /// Which.
+        /// The alarm.
         alarm: Alarm,
         /// Raised, or cleared.
         active: bool,

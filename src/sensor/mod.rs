@@ -39,7 +39,7 @@ pub struct Sensor<P, const W: usize = MAX_WINDOWS> {
     stage_faults: Allowance,
     /// When the clock was last seen not to be synchronised.
     unsynchronised: Option<UtcMs>,
-    /// What the latest tick said of the pictures.
+    /// Consequences of the latest tick for the pictures.
     latest: Option<Actions>,
     board_broken: bool,
     /// When health was last published; `None` where it is due.
@@ -234,7 +234,7 @@ impl<const W: usize, P: AsRef<[Preset<W>]> + AsMut<[Preset<W>]>> Sensor<P, W> {
         [of_pictures, heat, board].into_iter().flatten()
     }
 
-    /// What became of the pictures.
+    /// Counts of the pictures, by outcome.
     pub const fn frames(&self) -> Frames {
         self.frames
     }
@@ -244,7 +244,7 @@ impl<const W: usize, P: AsRef<[Preset<W>]> + AsMut<[Preset<W>]>> Sensor<P, W> {
         self.stage_faults.faults()
     }
 
-    /// What runs.
+    /// The running windows.
     pub const fn windows(&self) -> &Windows<P, W> {
         &self.windows
     }

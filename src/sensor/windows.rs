@@ -79,7 +79,7 @@ impl<const W: usize> Preset<W> {
 /// A window that has closed, with the table it was measured with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClosedWindow<'a> {
-    /// What was measured.
+    /// The measurement.
     pub report: &'a WindowReport,
     /// The table.
     pub calibration: &'a CalibrationRef,

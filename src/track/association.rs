@@ -1,4 +1,4 @@
-//! Which sighting is which vehicle: order-preserving association along a lane.
+//! Association of sightings with vehicles, keeping their order along a lane.
 //!
 //! Vehicles of one lane stay in their order (first in, first out), so that tracks and sightings,
 //! both sorted along the lane, are two sequences to be aligned: the alignment of least cost by

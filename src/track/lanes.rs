@@ -8,7 +8,7 @@ use crate::lane::Lane;
 use crate::units::{LaneId, MAX_LANES, UtcMs, millis};
 use core::time::Duration;
 
-/// What the vehicles of each lane have covered, at the place of the lane's number.
+/// Motion of each lane's vehicles, at the index of the lane's number.
 pub type LaneMoves = [Moves; MAX_LANES];
 
 /// Longest gap between pictures over which vehicles are followed, as a multiple of the longest

@@ -49,7 +49,7 @@ const BEFORE_SECTION_M: f32 = 2.0;
 const QUEUES_M_S: [f32; 2] = [5.0 / 3.6, 10.0 / 3.6];
 /// Longest distance from a queued vehicle to the next one of the same queue, m: a lorry and a gap.
 const QUEUE_GAP_M: f32 = 20.0;
-/// What is taken for the speed of the first vehicle on a lane, and its standard deviation, m/s.
+/// Prior speed of the first vehicle on a lane, and its standard deviation, m/s.
 const ANY_SPEED_M_S: [f32; 2] = [8.0, 10.0];
 /// From the point where a vehicle meets the road in the picture, its nearer wheels and bumper, to
 /// the end of it, m: most of a car's overhang (docs/explanation/traffic.md).
@@ -64,7 +64,7 @@ pub struct Sighting {
     pub s_m: f32,
     /// Road length along the lane that one pixel spans there, m.
     pub span_m: f32,
-    /// What kind of vehicle.
+    /// Kind of vehicle.
     pub class: VehicleClass,
 }
 

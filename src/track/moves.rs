@@ -1,4 +1,4 @@
-//! What the vehicles of a lane have covered between two pictures, and its sums.
+//! Motion of a lane's vehicles between two pictures, and its sums.
 
 use crate::units::VehicleClass;
 
@@ -36,7 +36,7 @@ impl Passages {
     }
 }
 
-/// What the vehicles of a lane have covered from one picture to the next.
+/// Motion of a lane's vehicles from one picture to the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moves {
     /// Time between the two, s.

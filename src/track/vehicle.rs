@@ -24,7 +24,7 @@ const YOUNG_MISSES: u16 = 1;
 /// Speed below which a vehicle stands, m/s.
 pub(super) const STANDING_M_S: f32 = 1.0;
 
-/// What a track has covered and is not counted yet.
+/// Motion of a track that is not counted yet.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Covered {
     pub(super) distance_m: f32,

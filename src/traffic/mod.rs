@@ -100,7 +100,7 @@ impl<const W: usize> Windows<W> {
         }
     }
 
-    /// What is reported of a lane, and its density by Edie's definition.
+    /// The report of a lane's traffic, and its density by Edie's definition.
     fn of(&self, sums: &Sums, length: Duration, lane: &LaneReport) -> Option<(LaneTraffic, f32)> {
         let by_pictures = lane.density_veh_km?;
         let (observed_s, length_m) = (sums.observed_s, lane.length_m);
@@ -161,7 +161,7 @@ fn index(lane: LaneId) -> usize {
     usize::from(lane.get()) - 1
 }
 
-/// Gives a lane that density in place of the mean of pictures, and to all that follows from it.
+/// Sets a lane's density, in place of the mean of pictures, and all values that follow from it.
 fn follow(lane: &mut LaneReport, density: f32) {
     let Some(before) = lane.density_veh_km.filter(|&before| before > 0.0) else { return };
     let factor = density / before;

@@ -59,7 +59,7 @@ impl Sums {
         self.observed_s / self.pictures.max(1) as f32
     }
 
-    /// What passed the section.
+    /// Traffic at the section.
     pub(super) fn section(&self) -> Section {
         let vehicles: u32 = self.by_class.iter().map(|&n| u32::from(n)).sum();
         let mean = |sum: f32, n: u32| (n > 0).then(|| sum / n as f32);

@@ -1,4 +1,4 @@
-//! What a window says of motion that is known.
+//! Windows of known motion.
 
 use super::*;
 use crate::track::{Moves, Passages};
@@ -87,7 +87,7 @@ fn flow_is_density_times_speed() {
     near(traffic.density_difference, -1.0);
     near(traffic.queue_m, 15.0);
     near(traffic.queue_max_m, 30.0);
-    // What follows from the density follows it.
+    // Everything that follows from the density changes with it.
     near(lane.vehicles_mean, 2.0);
     near(lane.by_class.map(|means| means[1]), 2.0);
     let section = traffic.section.expect("known");

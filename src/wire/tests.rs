@@ -107,7 +107,7 @@ fn format_1_is_read_without_cells() {
     let mut expected = message(&[lane(1, None)]);
     expected.report.lanes[0].cells = None;
     assert_eq!(decode(&golden), Ok(expected));
-    // With cells behind it, it is none.
+    // With cells behind it, it is not of that format.
     let mut longer = [&golden[..golden.len() - 4], &[0]].concat();
     longer.extend_from_slice(&CRC.checksum(&longer).to_le_bytes());
     assert_eq!(decode(&longer), Err(WireError::Body));

@@ -16,7 +16,7 @@ const LENGTHS_S: [u64; 2] = [20, 60];
 /// 08:00:02.3 of a day: in the middle of every window.
 const BEGIN: UtcMs = UtcMs(1_767_600_002_300);
 
-/// What happens.
+/// One event of a test.
 enum Step {
     /// So many seconds pass; each fifth brings this.
     Pass(u64, Camera),
@@ -32,7 +32,7 @@ enum Step {
 
 use Step::{Board, Heat, Pass, Prepare, SetClock};
 
-/// What the camera gives.
+/// Behaviour of the camera.
 #[derive(Clone, Copy)]
 enum Camera {
     /// A picture that shows that preset, with that many vehicles.
@@ -216,7 +216,7 @@ impl Bench {
         windows
     }
 
-    /// What was published besides health, with the second.
+    /// Everything published besides health, with the second.
     fn alarms(&self) -> Vec<(u64, &str)> {
         let is_alarm = |text: &str| text.starts_with(['+', '-']);
         self.said.iter().map(|(at, text)| (*at, text.as_str())).filter(|s| is_alarm(s.1)).collect()

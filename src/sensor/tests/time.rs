@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// What holds for windows whatever the clock does.
+/// Invariants of windows, whatever the clock does.
 fn check_frames(windows: &[Window]) {
     for window in windows {
         // A frame may lie on either side of a step.

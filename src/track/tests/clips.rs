@@ -211,7 +211,7 @@ fn dresden_is_counted_as_its_tracks_and_its_events() {
         for found in tracks["data"]["detections"].as_array().expect("boxes") {
             let number = |name: &str| found[name].as_f64().expect("a number");
             let class: &str = found["class"].as_str().expect("a class");
-            // What the picture cuts off meets the road outside it.
+            // A vehicle that the picture cuts off meets the road outside it.
             let is_whole = number("x") > 2.0 && number("y") + number("h") < 598.0;
             if is_whole && !["pedestrian", "bicyclist"].contains(&class) {
                 let contact = [number("x") + number("w") / 2.0, number("y") + number("h")];

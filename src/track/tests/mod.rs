@@ -9,7 +9,7 @@ use super::*;
 use crate::units::LaneId;
 use std::vec::Vec;
 
-/// What a car covers of the road, m, as the stage takes it.
+/// Length of road that a car covers, m, as the stage takes it.
 const CAR_M: f32 = 4.6;
 const LANE_M: f32 = 90.0;
 /// Where vehicles begin, m.
@@ -71,7 +71,7 @@ impl Street {
     }
 }
 
-/// What a picture does to truth.
+/// Differences between the truth and its picture.
 #[derive(Clone, Copy)]
 struct Eye {
     dt: f32,
@@ -130,7 +130,7 @@ fn lane() -> Lane {
     Lane { id, direction: Direction::Toward, length_m: LANE_M }
 }
 
-/// What drove, what was followed, and the mean queue, m.
+/// The true traffic, the followed one, and the mean queue, m.
 fn compare(street: &Street, eye: Eye, seconds: f32) -> (Measured, Measured, f32) {
     const FINE_S: f32 = 0.04;
     const WARM_S: f32 = 60.0;

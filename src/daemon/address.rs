@@ -17,7 +17,7 @@ pub enum Protocol {
     Rtsp,
 }
 
-/// What addresses begin with.
+/// Prefixes of addresses.
 pub const SCHEMES: [&str; 6] =
     ["http://", "https://", "mjpeg+http://", "mjpeg+https://", "rtsp://", "rtsps://"];
 
@@ -50,13 +50,13 @@ pub enum AddressError {
     /// No host.
     #[error("the address names no host: it has the form http://host/path")]
     NoHost,
-    /// A host that is none.
+    /// Not a host name.
     #[error("{0:?} is not a host name or an IP address")]
     Host(String),
     /// IPv6 without brackets.
     #[error("write an IPv6 address in brackets: http://[2001:db8::1]/path")]
     Brackets,
-    /// A port that is none.
+    /// Not a port.
     #[error(
         "behind the host's colon there is no port from 1 to 65535; a user and password go into \
          camera.user and camera.password_file, or, in the address, with # / ? @ : written as \
@@ -122,7 +122,7 @@ impl Address {
     /// The address to which a `Location` leads from here. The protocol stays.
     ///
     /// # Errors
-    /// [`AddressError`] where it is none.
+    /// [`AddressError`] where it does not lead to an address.
     pub fn redirected(&self, location: &str) -> Result<Self, AddressError> {
         let location = location.trim();
         let own = |target: String| Self { target, ..self.clone() };

@@ -29,11 +29,11 @@ const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The camera and the line of a configuration, and their broker.
 pub struct Assembly {
-    /// What measures.
+    /// The line that measures.
     pub line: Line,
     /// The windows over its lanes.
     pub presets: Vec<Preset>,
-    /// Which camera is asked.
+    /// The camera.
     pub camera: SourceSettings,
     /// Who gets the windows.
     pub broker: MqttSettings,
@@ -42,8 +42,8 @@ pub struct Assembly {
 }
 
 impl Assembly {
-    /// Loads what the configuration names. Neither camera nor broker is asked yet; an address
-    /// that is none is found here.
+    /// Loads what the configuration names. Neither camera nor broker is asked yet; a wrong
+    /// address is found here.
     ///
     /// # Errors
     /// [`Failure`] names what cannot be used.
@@ -168,7 +168,7 @@ pub fn camera_at(source: &str, interval: Duration) -> Result<SourceSettings, Fai
     Ok(SourceSettings::Network(CameraSettings::new(address, interval, TIMEOUT)))
 }
 
-/// What a configuration's line is built from.
+/// The settings of a configuration's line.
 pub fn line_settings(config: &Config) -> LineSettings {
     let tables = &config.lane_table;
     LineSettings {

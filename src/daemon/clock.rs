@@ -51,9 +51,9 @@ pub struct Watch {
 /// From one time to another that the clock was set to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// What it would show.
+    /// Expected time.
     pub from: UtcMs,
-    /// What it shows.
+    /// Time that it shows.
     pub to: UtcMs,
 }
 

@@ -80,7 +80,7 @@ fn note(tried: &[SocketAddr], address: Option<SocketAddr>) {
 /// `limit` away; first to one that answered before.
 ///
 /// # Errors
-/// What became of each address.
+/// The outcome at each address.
 pub fn connect(
     addresses: &[SocketAddr],
     deadline: Instant,
@@ -151,7 +151,7 @@ impl Timed {
     /// The time that is left.
     fn rest(&self) -> io::Result<Option<Duration>> {
         let rest = self.until.saturating_duration_since(Instant::now());
-        // Less than a microsecond would be none to the system, and none is for ever.
+        // The system takes less than a microsecond for no timeout at all.
         if rest < Duration::from_micros(1) {
             Err(io::ErrorKind::TimedOut.into())
         } else {
@@ -178,7 +178,7 @@ impl Write for Timed {
     }
 }
 
-/// What the system says, without the number in brackets.
+/// The system's words, without the number in brackets.
 pub fn system(error: &io::Error) -> String {
     let text = error.to_string();
     shown(text.split(" (os error").next().unwrap_or_default())

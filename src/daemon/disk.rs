@@ -1,4 +1,4 @@
-//! What the system says of a file, in an installer's words and with what to do.
+//! The system's errors about files, in an installer's words and with what to do.
 //!
 //! Owns the words. Which file it is, and what follows, its reader or writer says.
 

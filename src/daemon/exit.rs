@@ -45,7 +45,7 @@ pub enum Failure {
     /// The site's own file.
     #[error(transparent)]
     Site(#[from] SiteError),
-    /// What people have counted.
+    /// Counts by people.
     #[error(transparent)]
     Answers(#[from] AnswersError),
     /// Counts that contradict what is seen, or are too few.
@@ -56,7 +56,7 @@ pub enum Failure {
     CountedFrame {
         /// Its name.
         frame: String,
-        /// What is wrong with it.
+        /// The fault.
         reason: &'static str,
     },
     /// The model does not say how cameras differ.
@@ -79,9 +79,9 @@ pub enum Failure {
     Withheld {
         /// The alarm that it would raise.
         reason: &'static str,
-        /// What windows would say.
+        /// The status that windows would have.
         status: &'static str,
-        /// What to do.
+        /// Advice.
         hint: Cow<'static, str>,
     },
     /// The camera's aim is not checked.
@@ -106,7 +106,7 @@ pub enum Failure {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// An input file that cannot be read.
@@ -114,7 +114,7 @@ pub enum Failure {
     Input {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// An input file in a form that is not read.
@@ -122,7 +122,7 @@ pub enum Failure {
     InputForm {
         /// The file.
         path: PathBuf,
-        /// What it is, and what to do.
+        /// The fault, and what to do.
         what: &'static str,
     },
     /// Messages that could not be converted.
@@ -140,7 +140,7 @@ pub enum Failure {
         host: String,
         /// Port.
         port: u16,
-        /// What happened.
+        /// The reason.
         reason: String,
     },
     /// Checks that did not pass.
@@ -156,9 +156,9 @@ pub enum Failure {
     /// The demo's files are not there.
     #[error("the demo needs {what}: {hint}")]
     DemoFiles {
-        /// What is missing.
+        /// The missing part.
         what: String,
-        /// What to do.
+        /// Advice.
         hint: &'static str,
     },
     /// The comparison with ONNX Runtime could not be made.
@@ -176,7 +176,7 @@ pub enum Failure {
     Serial {
         /// The device.
         device: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// Settings that an I/O node cannot work by.
@@ -184,7 +184,7 @@ pub enum Failure {
     NodeSettings {
         /// The file; `None` where the node itself refused.
         path: Option<PathBuf>,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
     /// A port of loopback for a page.

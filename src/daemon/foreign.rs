@@ -39,7 +39,7 @@ fn steers(character: char) -> bool {
         )
 }
 
-/// Bytes as text that may be shown; what is no UTF-8 is replaced.
+/// Bytes as text that may be shown; invalid UTF-8 is replaced.
 pub fn shown_bytes(bytes: &[u8]) -> String {
     // A character has up to four bytes: no more are looked at than can be shown.
     let head = &bytes[..bytes.len().min(4 * (MOST + 1))];

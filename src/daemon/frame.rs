@@ -74,7 +74,7 @@ impl Region {
         Self { x: 0, y: 0, width: picture.width, height: picture.height }
     }
 
-    /// What of it lies in `picture`; all of the picture where nothing does.
+    /// Its part inside `picture`; all of the picture where they do not overlap.
     pub fn within(self, picture: &Picture) -> Self {
         let width = picture.width.saturating_sub(self.x).min(self.width);
         let height = picture.height.saturating_sub(self.y).min(self.height);

@@ -48,7 +48,7 @@ pub enum Stage {
 /// Is told of each stage when it has ended; the first began with the call.
 pub type Observer<'o> = &'o mut dyn FnMut(Stage);
 
-/// What the search of a picture has given.
+/// Result of the search of a picture.
 enum Searched {
     /// Candidates, in a picture of this preset that is shifted by so much.
     Found { preset: usize, shift: ImagePoint },
@@ -73,7 +73,7 @@ pub struct Line {
     vehicles: Vehicles,
     /// How large cars are in each preset's pictures.
     sizes: Vec<Option<CarSize>>,
-    /// What is known of errors of counting.
+    /// Errors of counting.
     errors: Errors,
     found: Vec<Detection>,
     following: Following,
@@ -123,7 +123,7 @@ impl Line {
         Ok(())
     }
 
-    /// What each lane needs to follow vehicles of up to `top_kmh`, in words.
+    /// The rate each lane needs to follow vehicles of up to `top_kmh`, in words.
     pub fn needs(&self, top_kmh: f32) -> String {
         self.presets.needs(top_kmh)
     }
@@ -230,8 +230,8 @@ impl Line {
         Ok(Searched::Found { preset, shift })
     }
 
-    /// Leaves the vehicles in what was found, and shows the scene where none stands. Returns the
-    /// light.
+    /// Keeps the vehicles among the candidates, and shows the scene the road where none stands.
+    /// Returns the light.
     fn choose(&mut self, preset: usize, size: (usize, usize)) -> Light {
         let vehicles = self.vehicles;
         let light = self.choose_by(&vehicles, preset, size);
@@ -241,7 +241,7 @@ impl Line {
         light
     }
 
-    /// Leaves in what was found what these take for vehicles. Returns the light.
+    /// Keeps the candidates that `vehicles` takes for vehicles. Returns the light.
     fn choose_by(&mut self, vehicles: &Vehicles, preset: usize, size: (usize, usize)) -> Light {
         let (scene, car) = (&self.scene, self.sizes[preset]);
         let likeness =
@@ -267,7 +267,7 @@ impl Line {
         }
     }
 
-    /// The camera's name, and what is known of its empty road; `None` where nothing is.
+    /// The camera's name and its empty road, as far as it is known; `None` where it is not.
     pub fn road(&self) -> Option<(String, Road)> {
         let (preset, road, now) = self.scene.as_ref()?.road()?;
         let preset = self.presets.iter().nth(preset)?;
@@ -275,12 +275,12 @@ impl Line {
         Some((camera, Road::of(preset.sha256(), road, now)))
     }
 
-    /// What judges the pictures, unless that is switched off.
+    /// The judge of the pictures, unless it is switched off.
     pub fn scene(&self) -> Option<&Scene> {
         self.scene.as_ref()
     }
 
-    /// What was found in the latest frame.
+    /// Detections in the latest frame.
     pub fn found(&self) -> &[Detection] {
         &self.found
     }
@@ -305,7 +305,7 @@ impl Line {
         &self.parts[0]
     }
 
-    /// What computes which part of the net, with its share of the time, in words.
+    /// The parts that compute the net, with their shares of the time, in words.
     ///
     /// # Errors
     /// [`Failure::Detect`] where inference fails.
@@ -358,7 +358,7 @@ impl Line {
         self.detector.input_size()
     }
 
-    /// What finds the vehicles, for messages.
+    /// The model, for messages.
     pub fn model(&self) -> &ModelRef {
         self.detector.model()
     }

@@ -19,7 +19,7 @@ const MAX_TABLE_BYTES: u64 = (MAX_CELLS * 5 + MAX_REFERENCE + 4096) as u64;
 /// vehicle meets the road is not in the picture.
 const EDGE_PX: f32 = 0.5;
 
-/// Which point of a box is looked up in the table.
+/// Point of a box that is looked up in the table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Anchor {
     /// Where the vehicle meets the road: the middle of the box's lower edge.
@@ -47,7 +47,7 @@ impl Anchor {
 pub struct Located {
     /// Lane and distance.
     pub place: Place,
-    /// What kind of vehicle.
+    /// Kind of vehicle.
     pub class: VehicleClass,
 }
 
@@ -59,7 +59,7 @@ pub enum LocateError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// It is damaged, or none.
@@ -67,7 +67,7 @@ pub enum LocateError {
     Table {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         source: LaneTableError,
     },
     /// It belongs to another camera.
@@ -165,7 +165,7 @@ impl Locator {
         &self.path
     }
 
-    /// What the table says about itself.
+    /// The table's metadata.
     pub fn description(&self) -> &Description {
         self.table.description()
     }

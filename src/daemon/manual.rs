@@ -1,4 +1,4 @@
-//! What the manual says of `verge` beyond its command line: files, exit codes, examples.
+//! Manual pages of `verge`: files, exit codes and examples, which clap does not know.
 //!
 //! Owns the pages of `verge man` and of the handbook's reference. `manual/configuration.rs` makes
 //! verge.toml(5) of the example configuration.

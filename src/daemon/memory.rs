@@ -1,4 +1,4 @@
-//! What stays in memory and is not needed: buffers that were given back, code that ran once.
+//! Memory that is held and not needed: buffers that were given back, code that ran once.
 //!
 //! Owns settings of glibc's allocator. Left to itself it learns from each large buffer that is given
 //! back: later ones of that size then lie among small ones, where holes stay, and a box that got one

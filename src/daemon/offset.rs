@@ -19,7 +19,7 @@ pub struct Offset {
     in_place: bool,
 }
 
-/// Least turn (degrees) and zoom (percent) that are worth a word.
+/// Least turn (degrees) and zoom (percent) that are worth reporting.
 const WORTH_DEG: f32 = 0.5;
 const WORTH_PERCENT: f32 = 1.0;
 
@@ -41,7 +41,7 @@ impl Offset {
         self.in_place
     }
 
-    /// What to say, also where the scene is not found.
+    /// The offset in words, also where the scene is not found.
     pub fn words(offset: Option<&Self>) -> String {
         offset.map_or_else(
             || {

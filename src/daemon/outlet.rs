@@ -13,8 +13,8 @@ const RETRY: Duration = Duration::from_secs(30);
 
 /// The end of the line: windows into the spool, and from there to the broker.
 ///
-/// What closes while a session is open is sent at once; what closed before it, or was on its
-/// way when an earlier one broke, follows as replay.
+/// Windows that close while a session is open are sent at once; those that closed before it, or
+/// were on their way when an earlier one broke, follow as replay.
 #[derive(Debug)]
 pub struct Outlet {
     identity: Identity,
@@ -23,7 +23,7 @@ pub struct Outlet {
     serial: Option<SerialOutput>,
     /// Windows that serial lines before this one have lost.
     lost_before: u64,
-    /// When what was put off is tried next.
+    /// Next try of what was put off.
     retry_at: Instant,
 }
 
@@ -126,7 +126,7 @@ impl Outlet {
         &self.publisher
     }
 
-    /// What waits, and what was lost.
+    /// Counts of waiting and of lost windows.
     pub fn counts(&self) -> SpoolCounts {
         self.spool.counts()
     }

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 pub struct WriteError {
     /// The file.
     pub path: PathBuf,
-    /// What the system says.
+    /// The system's error.
     pub source: std::io::Error,
 }
 
@@ -23,7 +23,7 @@ pub struct WriteError {
 /// replace a device as well, and cannot replace a folder.
 ///
 /// # Errors
-/// What stands there.
+/// The kind of file at that place.
 pub fn check_place(path: &Path) -> io::Result<()> {
     match fs::metadata(path) {
         Ok(there) if there.is_dir() => Err(io::ErrorKind::IsADirectory.into()),

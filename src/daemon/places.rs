@@ -26,7 +26,7 @@ fn shared(program: Option<&Path>) -> Vec<PathBuf> {
 
 fn find_from(folder: &Path, path: &Path, shared: &[PathBuf]) -> PathBuf {
     let first = folder.join(path);
-    // What leads out of its folder is meant from one place alone.
+    // A path that leads out of its folder has one meaning alone.
     let is_plain = path.components().all(|part| matches!(part, std::path::Component::Normal(_)));
     if first.exists() || !is_plain {
         return first;

@@ -11,9 +11,9 @@ use std::path::Path;
 /// The bytes of a plain file of at most `most` bytes; links are followed.
 ///
 /// # Errors
-/// What the system says, or that it is another kind of file, or larger.
+/// The system's error, or one that names another kind of file, or a larger one.
 pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
-    // What is judged is what is read: the name may be another file's a moment later.
+    // The opened file is judged, not the name: that may be another file's a moment later.
     let flags = i32::try_from(OFlags::NONBLOCK.bits()).unwrap_or(0);
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
     let metadata = file.metadata()?;

@@ -18,14 +18,14 @@ use crate::units::{ImagePoint, ImageSize, LaneId, UtcMs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Which tables, and how they are looked up.
+/// The lane tables, and how they are looked up.
 #[derive(Clone, Debug)]
 pub struct TableSettings {
     /// One lane table for each preset of the camera, at least one.
     pub files: Vec<PathBuf>,
     /// The camera that they must belong to; `None`: whichever they belong to.
     pub camera: Option<String>,
-    /// Which point of a box stands for the vehicle.
+    /// Point of a box that is looked up.
     pub anchor: Anchor,
 }
 
@@ -43,7 +43,7 @@ pub struct WindowSettings {
     pub lengths: Vec<Duration>,
     /// Share of its frames that a window needs.
     pub min_completeness: f32,
-    /// What happens to a window that was begun in its middle.
+    /// Treatment of a window that is running at the start.
     pub start: Start,
 }
 
@@ -127,7 +127,7 @@ pub struct Preset {
 }
 
 impl Preset {
-    /// What the lane table says about itself.
+    /// The lane table's metadata.
     pub fn table(&self) -> &Description {
         self.locator.description()
     }

@@ -33,7 +33,7 @@ impl Candidate {
     }
 }
 
-/// What has a state that a new configuration cannot take along.
+/// Refuses changes of keys whose state cannot move to a new configuration.
 fn check_fixed(path: &Path, running: &Config, new: &Config) -> Result<(), ConfigError> {
     let spools = [running, new].map(|config| config.spool_folder().display().to_string());
     let topics = [running, new].map(Config::root_topic);
@@ -53,7 +53,7 @@ fn check_fixed(path: &Path, running: &Config, new: &Config) -> Result<(), Config
     Ok(())
 }
 
-/// What has become of a request to read the configuration again.
+/// Progress of a request to read the configuration again.
 pub enum Outcome {
     /// It is being loaded.
     Begun,
@@ -86,9 +86,9 @@ impl Reload {
         Self { path: path.to_owned(), asked, loading: None }
     }
 
-    /// What has happened since it was asked last; to be called a few times a second. However
-    /// often a new configuration was asked for while one was loaded: the files are read once
-    /// more, and what was loaded before counts no longer.
+    /// The news since the last call; call it a few times a second. Requests that came while a
+    /// configuration was being loaded are merged: the files are read once more, and the result of
+    /// the earlier load is dropped.
     pub fn outcome(&mut self, running: &Config) -> Option<Outcome> {
         let loaded = match self.loading.as_ref().map(|loading| loading.outcome.try_recv()) {
             Some(Err(TryRecvError::Empty)) if !self.is_late() => return None,

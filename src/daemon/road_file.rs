@@ -64,7 +64,7 @@ pub enum RoadError {
     Old(Duration),
 }
 
-/// What a line has learned of its road.
+/// The road as a line has learned it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Road {
     /// SHA-256 of the lane table with which it was learned.
@@ -78,7 +78,7 @@ pub struct Road {
 }
 
 impl Road {
-    /// What a memory holds at `now`.
+    /// The content of a memory at `now`.
     pub fn of(table: [u8; 32], road: &EmptyRoad<Vec<MeanCell>>, now: Duration) -> Self {
         let (grid, known) = (road.grid(), road.known(now));
         Self { table, grid: [grid.width, grid.height], known, cells: road.cells().to_vec() }

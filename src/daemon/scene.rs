@@ -15,7 +15,7 @@ use crate::scene::{
 use crate::units::{ImagePoint, UtcMs};
 use std::time::Duration;
 
-/// What follows for a picture.
+/// The verdict on a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum View {
     /// It is measured with the table of this preset, shifted by so many of its pixels.
@@ -40,7 +40,7 @@ impl View {
     pub const UNJUDGED: Self = Self::Fit { preset: Self::NOWHERE.0, shift: Self::NOWHERE.1 };
 }
 
-/// What is known of the camera's aim.
+/// The camera's aim, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Aiming {
     /// No table has a reference: it is not checked.
@@ -71,7 +71,7 @@ struct Buffers {
     size: (usize, usize),
     eye: Eye<Vec<u8>, Vec<Cell>>,
     before: Before<Vec<u8>>,
-    /// What the road of a preset looks like without vehicles.
+    /// The road of a preset without vehicles.
     road: EmptyRoad<Vec<MeanCell>>,
     road_of: Option<usize>,
     /// Vehicles that stand on it, in cells of the grid.
@@ -236,8 +236,8 @@ impl Scene {
         }
     }
 
-    /// What is known of the road, and of which preset's, and the time for [`EmptyRoad::known`]; `None`
-    /// before any was learned.
+    /// The learned road, its preset, and the time for [`EmptyRoad::known`]; `None` before any was
+    /// learned.
     pub fn road(&self) -> Option<(usize, &EmptyRoad<Vec<MeanCell>>, Duration)> {
         let buffers = self.buffers.as_ref()?;
         Some((buffers.road_of?, &buffers.road, self.clock))
@@ -281,7 +281,7 @@ impl Scene {
         self.aiming() != Aiming::Unchecked
     }
 
-    /// What the camera's aim is known to be.
+    /// The camera's aim, as far as it is known.
     pub fn aiming(&self) -> Aiming {
         let grid = self.buffers.as_ref().map(|buffers| buffers.eye.grid());
         if !grid.map_or(!self.references.is_empty(), |grid| self.is_checked(grid)) {
@@ -294,7 +294,7 @@ impl Scene {
         }
     }
 
-    /// What was read from the latest picture.
+    /// Features of the latest picture.
     pub fn latest(&self) -> Option<Look> {
         self.latest
     }

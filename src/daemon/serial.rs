@@ -24,7 +24,7 @@ const SEND_LIMIT: Duration = Duration::from_secs(5);
 /// Frames that wait for the line. Windows of six lengths may end together.
 const WAITING: usize = 8;
 
-/// Which line, and which windows go over it.
+/// The line, and the windows that go over it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SerialSettings {
     /// The device.
@@ -45,7 +45,7 @@ impl SerialLine {
     /// Opens a device and sets it up.
     ///
     /// # Errors
-    /// What the system says of the device.
+    /// The system's error about the device.
     pub fn open(device: &Path, baud: u32) -> io::Result<Self> {
         // Not waiting for a carrier, and never the terminal that stops this program.
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -173,7 +173,7 @@ impl SerialOutput {
         Self { settings, frames, lost }
     }
 
-    /// What it was started with.
+    /// The settings it was started with.
     pub fn settings(&self) -> &SerialSettings {
         &self.settings
     }

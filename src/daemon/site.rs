@@ -17,7 +17,7 @@ pub struct Site {
     pub id: String,
     /// Where it is; none where the file does not say.
     pub place: Option<Place>,
-    /// What its lanes are called.
+    /// Names of its lanes.
     pub lanes: Vec<LaneName>,
 }
 

@@ -11,7 +11,7 @@ use crate::refresh::Refresh;
 use crate::sensor::Outcome;
 use std::time::{Duration, Instant};
 
-/// What to do about a camera that has a picture to measure less often than it is asked.
+/// Advice for a camera that has a picture to measure less often than it is asked.
 pub fn advice(period: Duration, interval: Duration) -> String {
     let whole = period.as_secs_f64().round().max(1.0);
     format!(
@@ -36,7 +36,7 @@ pub enum Pace {
 #[derive(Debug)]
 pub struct Station {
     source: Source,
-    /// What the source was opened with.
+    /// The settings that the source was opened with.
     camera: Option<SourceSettings>,
     frame: Frame,
     line: Line,
@@ -87,7 +87,7 @@ impl Station {
         refresh.note(true, Duration::ZERO);
         while changes < 2 && refresh.period(interval).is_none() && begun.elapsed() < limit {
             std::thread::sleep(interval.clamp(Duration::from_millis(200), Duration::from_secs(5)));
-            // A picture that was only packed anew is the same.
+            // The same picture, compressed once more, is not new.
             let is_new = self.capture()? && self.measure(&mut |_| ())? != Outcome::Unchanged;
             refresh.note(is_new, begun.elapsed());
             changes += u32::from(is_new);
@@ -104,7 +104,7 @@ impl Station {
         matches!(self.source, Source::Snapshot(_) | Source::Mjpeg(_))
     }
 
-    /// What to set where a video's key pictures come so seldom that windows would have too few of them.
+    /// Advice where a video's key pictures come so seldom that windows would have too few of them.
     pub fn slow_keys(&self) -> Option<String> {
         Some(advice(self.source.slow_keys()?, self.source.interval()))
     }
@@ -135,7 +135,7 @@ impl Station {
         self.camera.as_ref() == Some(camera)
     }
 
-    /// What became of the frames of the camera's stream.
+    /// Counts of the frames of the camera's stream.
     pub fn stream_counts(&self) -> StreamCounts {
         self.source.counts()
     }
@@ -145,7 +145,7 @@ impl Station {
         &self.frame
     }
 
-    /// What measures its pictures.
+    /// The line that measures its pictures.
     pub fn line(&self) -> &Line {
         &self.line
     }

@@ -1,4 +1,4 @@
-//! Which certificate a camera or a broker may show, and the error where it shows another.
+//! Certificates that a camera or a broker may show, and the error where it shows another.
 //!
 //! Owns three rules: public authorities, a file of certificates, or one certificate's
 //! fingerprint. A certificate that stands in the file itself, or whose fingerprint is pinned, is
@@ -16,7 +16,7 @@ use rustls::{
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
-/// Which certificate is taken.
+/// Certificates that are accepted.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Trust {
     /// One of a public authority.
@@ -41,7 +41,7 @@ impl Trust {
     /// The certificates of a PEM file, or of one in DER.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The fault of the file.
     pub fn certificates(file: &[u8]) -> Result<Self, String> {
         let pem: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(file).collect();
         let found = pem.map_err(|error| format!("not certificates in PEM: {error}"))?;
@@ -57,7 +57,7 @@ impl Trust {
     /// Reads a fingerprint as `openssl x509 -noout -fingerprint -sha256` or a browser shows it.
     ///
     /// # Errors
-    /// What it should look like.
+    /// The expected form.
     pub fn fingerprint(text: &str) -> Result<Self, String> {
         let text = text.trim();
         let text = text.rsplit_once(['=']).map_or(text, |(_, digits)| digits);
@@ -82,7 +82,7 @@ impl Trust {
     /// How TLS is done with it, with a camera.
     ///
     /// # Errors
-    /// What TLS cannot be done with.
+    /// An error of the TLS library.
     pub fn config(&self) -> Result<ClientConfig, Error> {
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let verifier = self.verifier(Peer::Camera, &provider, End::default())?;
@@ -93,10 +93,10 @@ impl Trust {
             .with_no_client_auth())
     }
 
-    /// What judges a certificate, finds words for it, and notes the end of one that is taken.
+    /// Judges a certificate, finds words for it, and notes the end of one that is accepted.
     ///
     /// # Errors
-    /// What TLS cannot be done with.
+    /// An error of the TLS library.
     pub fn verifier(
         &self,
         peer: Peer,
@@ -218,7 +218,7 @@ fn fingerprint_text(certificate: &CertificateDer<'_>) -> String {
     format!("sha256:{}", digits.join(":"))
 }
 
-/// What is wrong with a certificate, and what to do.
+/// The fault of a certificate, and what to do.
 fn refusal(error: &Error, trust: &Trust, own: &str) -> String {
     let remedy = format!(
         "If {own} is what the camera's own page shows, write it into camera.fingerprint, or save the \
@@ -245,7 +245,7 @@ fn refusal(error: &Error, trust: &Trust, own: &str) -> String {
     }
 }
 
-/// What is wrong with a broker's certificate, and how to make one that is right.
+/// The fault of a broker's certificate, and how to make a right one.
 fn broker_refusal(error: &Error, trust: &Trust, name: &ServerName<'_>) -> String {
     use CertificateError as Wrong;
     let host = name.to_str();

@@ -1,7 +1,7 @@
-//! What people have counted: lines `frame,lane,vehicles`.
+//! Counts by people: lines `frame,lane,vehicles`.
 //!
-//! Owns the file, its empty form, and what is wrong with it by itself. Whether the answers fit the frames is decided
-//! by `fit`.
+//! Owns the file, its empty form, and its faults by itself. `fit` decides whether the answers fit
+//! the frames.
 
 use crate::daemon::disk;
 use std::collections::BTreeMap;
@@ -20,7 +20,7 @@ pub enum AnswersError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// Something in it is wrong.
@@ -28,9 +28,9 @@ pub enum AnswersError {
     Line {
         /// The file.
         path: PathBuf,
-        /// Which line.
+        /// The line's number.
         line: usize,
-        /// What is wrong, and what would be right.
+        /// The fault, and what would be right.
         reason: String,
     },
     /// It says too little.
@@ -38,7 +38,7 @@ pub enum AnswersError {
     Missing {
         /// The file.
         path: PathBuf,
-        /// What is missing.
+        /// The missing part.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-//! Which frames of a recording people should count.
+//! Choice of a recording's frames for people to count.
 //!
 //! Owns the choice: spread over light, load and time, and blind to how sure the line is of them, so
 //! that the easy frames are not preferred. The same recording gives the same frames.

@@ -1,4 +1,4 @@
-//! What follows from counted frames: the site's score, and by what its counts are multiplied.
+//! Fit to counted frames: the site's score, and the factors of its counts.
 //!
 //! Owns the estimate and which answers contradict what is seen. The factor of a load is the ratio of
 //! what people count to what the line counts, drawn to 1 as strongly as cameras that were not
@@ -64,9 +64,9 @@ pub enum FitError {
         frame: String,
         /// The lane.
         lane: u8,
-        /// What people say.
+        /// Vehicles that people counted.
         people: u32,
-        /// What is sure.
+        /// Vehicles that the line is sure of.
         sure: u32,
     },
     /// An answer is off what the other answers make of the line's count.
@@ -77,9 +77,9 @@ pub enum FitError {
     Odd {
         /// The frame.
         frame: String,
-        /// What people say.
+        /// Vehicles that people counted.
         people: u32,
-        /// What the others say.
+        /// Vehicles expected from the other answers.
         expected: f32,
     },
 }

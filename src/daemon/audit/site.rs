@@ -21,7 +21,7 @@ pub enum SiteError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// It is damaged, or of another site, model or table.
@@ -29,12 +29,12 @@ pub enum SiteError {
     Wrong {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and what to do.
+        /// The fault, and what to do.
         reason: String,
     },
 }
 
-/// What an audit has found.
+/// Result of an audit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SiteFile {
@@ -52,11 +52,11 @@ pub struct SiteFile {
     pub frames: usize,
     /// Vehicles that people counted in them.
     pub vehicles: u32,
-    /// What follows.
+    /// The correction that follows from it.
     pub correction: SiteCorrection,
 }
 
-/// What a line measures with: a file made with other parts does not hold for it.
+/// Parts that a line measures with: a file made with other parts does not hold for it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MadeWith<'a> {
     /// The camera of the lane table.

@@ -9,7 +9,7 @@ use std::time::Duration;
 /// Size that is asked for where the lane table is not known, px.
 pub const DEFAULT_SIZE: (u32, u32) = (640, 480);
 
-/// Which device is read, and how.
+/// The device, and how it is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceSettings {
     /// The device node. A name under `/dev/v4l/by-id` or `by-path` stays when the camera
@@ -41,7 +41,7 @@ pub enum DeviceError {
     Open {
         /// The device.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
     /// It opens, but is not a camera.
@@ -49,7 +49,7 @@ pub enum DeviceError {
     NotACamera {
         /// The device.
         path: PathBuf,
-        /// What it says it is.
+        /// The name that it gives itself.
         card: String,
     },
     /// It has no format and size that can be used.
@@ -62,7 +62,7 @@ pub enum DeviceError {
         path: PathBuf,
         /// The wanted size.
         wanted: (u32, u32),
-        /// What there is.
+        /// The formats and sizes offered.
         offered: String,
     },
     /// It took another format than the one that it was asked for.
@@ -70,9 +70,9 @@ pub enum DeviceError {
     OtherFormat {
         /// The device.
         path: PathBuf,
-        /// What was asked for.
+        /// The format that was asked for.
         asked: String,
-        /// What it said then.
+        /// The format that the driver then reported.
         given: String,
     },
     /// Frames larger than any picture that is read.
@@ -83,7 +83,7 @@ pub enum DeviceError {
     LargeFrames {
         /// The device.
         path: PathBuf,
-        /// What a frame takes, as the driver says.
+        /// Size of a frame, as the driver states it.
         bytes: u32,
     },
     /// No frame in time.
@@ -99,9 +99,9 @@ pub enum DeviceError {
     Stream {
         /// The device.
         path: PathBuf,
-        /// Which step.
+        /// The step that failed.
         step: &'static str,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
     /// Every frame was marked as damaged.

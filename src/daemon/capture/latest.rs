@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// What the thread and the line share: the latest picture, or why there is none.
+/// Shared by the thread and the line: the latest picture, or why there is none.
 #[derive(Debug, Default)]
 pub struct Latest<T> {
     slot: Mutex<Slot<T>>,

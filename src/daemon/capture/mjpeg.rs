@@ -47,7 +47,7 @@ impl Mjpeg {
         }
     }
 
-    /// What became of the stream since start.
+    /// Counts of the stream's frames since start.
     pub fn counts(&self) -> StreamCounts {
         self.counts
     }

@@ -41,7 +41,7 @@ pub const MAX_PICTURE_BYTES: usize = 8 << 20;
 /// Largest picture that a device is asked for, px: 4K.
 pub const MAX_PICTURE: (u32, u32) = (3840, 2160);
 
-/// What a source gave when it was asked for the next picture.
+/// Result of asking a source for the next picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Captured {
     /// A new picture; the frame was filled.
@@ -60,7 +60,7 @@ pub enum CaptureError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// A picture that does not decode.
@@ -68,7 +68,7 @@ pub enum CaptureError {
     Decode {
         /// File or snapshot.
         name: String,
-        /// What is wrong with it.
+        /// The fault.
         source: DecodeError,
     },
     /// A camera on a network gave none.
@@ -79,7 +79,7 @@ pub enum CaptureError {
     Device(#[from] DeviceError),
 }
 
-/// What became of a stream's frames since start, beside those that were measured.
+/// Counts of a stream's frames since start, beside those that were measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamCounts {
     /// Marked as damaged by the driver, and passed over.
@@ -99,7 +99,7 @@ impl CaptureError {
     }
 }
 
-/// Which camera is asked for pictures, and how.
+/// The camera, and how it is asked for pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceSettings {
     /// A folder of pictures that is played in a loop, one each `interval`.
@@ -178,7 +178,7 @@ impl Source {
         Err(DeviceError::NotBuilt { path: settings.path })
     }
 
-    /// What became of a stream's frames; all 0 where there is no stream.
+    /// Counts of a stream's frames; all 0 where there is no stream.
     pub fn counts(&self) -> StreamCounts {
         match self {
             Self::Recorded(_) | Self::Snapshot(_) => StreamCounts::default(),
@@ -189,7 +189,7 @@ impl Source {
         }
     }
 
-    /// What a video is, and what to set; `None` where the source is none.
+    /// Description of a video, and what to set; `None` where the source is not a video.
     pub fn video(&self) -> Option<String> {
         match self {
             Self::Rtsp(rtsp) => Some(rtsp.describe()),

@@ -1,4 +1,4 @@
-//! Which of a camera's formats, sizes and frame rates is asked for: one rule.
+//! Choice among a camera's formats, sizes and frame rates: one rule.
 //!
 //! Owns the rule and knows no device. In this order:
 //!
@@ -73,7 +73,7 @@ pub struct Offer {
     pub times: Vec<FrameTime>,
 }
 
-/// What is asked of the camera.
+/// The format, size and rate asked of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Choice {
     /// Format.

@@ -1,4 +1,4 @@
-//! Which of the frames that wait in a device's buffers is taken, and which were lost.
+//! Choice among the frames that wait in a device's buffers, and the count of lost ones.
 //!
 //! Owns two rules and knows no device. While pictures are asked for less often than frames
 //! come, the driver fills every buffer and then drops frames, so that what waits may be as

@@ -33,7 +33,7 @@ pub enum RecordingError {
     List {
         /// The folder.
         folder: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// Nothing in it is a picture.
@@ -42,7 +42,7 @@ pub enum RecordingError {
         /// The folder.
         folder: PathBuf,
     },
-    /// The interval that was asked for is none.
+    /// An interval of no time.
     #[error("a time of {} s between frames: give more than 0", .0.as_secs_f64())]
     Interval(Duration),
 }

@@ -30,7 +30,7 @@ pub struct Snapshot {
     bytes: Vec<u8>,
 }
 
-/// What is remembered of the last picture.
+/// The last picture, as far as it is remembered.
 #[derive(Debug)]
 struct Sent {
     etag: Option<String>,
@@ -159,7 +159,7 @@ fn read_picture(body: &mut Body, bytes: &mut Vec<u8>) -> Result<(), Fault> {
                     // It goes on and on behind a whole picture.
                     Fault::Timeout { .. } if whole => Err(Fault::IsStream),
                     _ if whole => Ok(()),
-                    // What never ends and is no picture.
+                    // An answer that never ends and is not a picture.
                     fault @ Fault::Timeout { .. } => Err(foreign(bytes).unwrap_or(fault)),
                     fault => Err(fault),
                 };
@@ -168,7 +168,7 @@ fn read_picture(body: &mut Body, bytes: &mut Vec<u8>) -> Result<(), Fault> {
     }
 }
 
-/// What came, where it is no picture.
+/// The fault of an answer that is not a picture.
 fn foreign(bytes: &[u8]) -> Option<Fault> {
     let picture = kind::trimmed(bytes);
     let is_one = picture.is_empty() || kind::Kind::of(picture).is_some();

@@ -39,7 +39,7 @@ pub struct Args {
     /// Draw the chosen frames into this folder, with counts.csv to fill in
     #[arg(long, value_name = "DIR", conflicts_with = "counts")]
     sheet: Option<PathBuf>,
-    /// What was counted: lines frame,lane,vehicles
+    /// The counts: lines frame,lane,vehicles
     #[arg(long, visible_alias = "answers", value_name = "FILE", requires = "out")]
     counts: Option<PathBuf>,
     /// The site's own file, for replay --audit and lane_table.audit
@@ -191,7 +191,7 @@ fn compare(
     })
 }
 
-/// What was found, for a program: the line's counts are those with the site's score.
+/// The result, for a program: the line's counts are those with the site's score.
 fn told_json(file: &SiteFile, stated: f32, frames: &[Counted], scores: &[f32]) -> String {
     let score = file.correction.score.unwrap_or(stated);
     let at = scores.iter().position(|known| *known == score).unwrap_or(0);
@@ -211,7 +211,7 @@ fn told_json(file: &SiteFile, stated: f32, frames: &[Counted], scores: &[f32]) -
     .to_string()
 }
 
-/// What was found, for people.
+/// The result, for people.
 fn told(file: &SiteFile, stated: f32, out: &Path) -> String {
     let correction = &file.correction;
     let score = correction.score.map_or(format!("score {stated} stays"), |score| {

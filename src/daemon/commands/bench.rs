@@ -37,7 +37,7 @@ pub struct Args {
     table: Option<PathBuf>,
     #[command(flatten)]
     model: ModelArgs,
-    /// Which parts of a picture are searched
+    /// Searched parts of a picture
     #[arg(long, value_enum, default_value_t)]
     views: Views,
     /// Frames to measure, after as many again to warm up
@@ -154,7 +154,7 @@ impl Bench {
     }
 }
 
-/// What the stages took for one frame, of this thread's processor time.
+/// Times of the stages for one frame, of this thread's processor time.
 #[derive(Clone, Copy, Debug, Default)]
 struct Times {
     /// Reading and decoding the picture.

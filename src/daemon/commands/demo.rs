@@ -1,6 +1,6 @@
 //! `verge demo`: the whole line in one process, a broker and its subscriber included.
 //!
-//! What is printed has gone through everything: frames from files, the model, the lane
+//! The printed numbers have gone through everything: frames from files, the model, the lane
 //! table, windows, MQTT over loopback, and JSON.
 
 use super::playback::{Played, play};

@@ -1,5 +1,5 @@
-//! What each command does. A command builds its line through `assemble` and names no
-//! more than one stage itself.
+//! The commands, one file each. A command builds its line through `assemble` and names no more
+//! than one stage itself.
 
 pub mod audit;
 pub mod bench;
@@ -25,7 +25,7 @@ use super::places;
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
-/// Which model to use.
+/// The model to use.
 #[derive(Debug, clap::Args)]
 pub struct ModelArgs {
     /// Model (.onnx) or its sidecar (.toml)

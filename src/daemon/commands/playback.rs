@@ -9,7 +9,7 @@ use crate::daemon::frame::{Detection, Frame, Picture};
 use crate::daemon::line::Line;
 use crate::sensor::{ClosedWindow, Outcome, Preset, Windows};
 
-/// What a recording gives as it is played.
+/// One step of a recording as it is played.
 pub enum Played<'a> {
     /// A frame that went through the line, which knows what was found in it, and what became of
     /// it where it was not counted.
@@ -104,7 +104,7 @@ struct Player {
     frames: usize,
     measured: usize,
     first_fault: Option<String>,
-    /// What was logged of the frames last.
+    /// The words logged last about the frames.
     said: Option<&'static str>,
 }
 

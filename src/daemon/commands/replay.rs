@@ -45,7 +45,7 @@ pub struct Args {
     /// Offset from UTC of times in names that state none, as +01:00
     #[arg(long, value_name = "OFFSET", value_parser = utc_offset, default_value = "Z", allow_hyphen_values = true)]
     utc_offset: i32,
-    /// Which parts of a picture are searched
+    /// Searched parts of a picture
     #[arg(long, value_enum, default_value_t)]
     views: Views,
     /// Also write each frame's boxes here, JSON Lines
@@ -57,7 +57,7 @@ pub struct Args {
     /// The site's own file, made by `verge audit`
     #[arg(long, value_name = "FILE")]
     audit: Option<PathBuf>,
-    /// Which point of a box stands for the vehicle
+    /// Point of a box that is the vehicle's place
     #[arg(long, value_enum, default_value_t)]
     anchor: Anchor,
 }

@@ -27,7 +27,7 @@ const AWAY: Duration = Duration::from_secs(10);
 /// How often it is seen whether somebody looks.
 const TICK: Duration = Duration::from_millis(100);
 
-/// What is shown now.
+/// Content of the page now.
 #[derive(Debug, Default)]
 struct Shown {
     /// Number of the picture; 0 before the first.

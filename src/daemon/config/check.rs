@@ -1,4 +1,4 @@
-//! Which values a configuration may have.
+//! Checks of a configuration's values.
 
 use super::sections::MAX_TIMEOUT_S;
 use super::{Config, Mqtt};

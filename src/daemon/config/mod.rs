@@ -39,7 +39,7 @@ pub enum ConfigError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// It does not parse.
@@ -55,9 +55,9 @@ pub enum ConfigError {
     Value {
         /// The file.
         path: PathBuf,
-        /// Which key.
+        /// The key.
         key: &'static str,
-        /// What is wrong, and what would be right.
+        /// The fault, and what would be right.
         reason: String,
     },
     /// A file that is not as it was signed.
@@ -65,25 +65,25 @@ pub enum ConfigError {
     Signature {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
     /// The camera's keys.
     #[error("{key}: {reason}")]
     Camera {
-        /// Which key.
+        /// The key.
         key: &'static str,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// A file with a secret that is missing or open to others.
     #[error("{key} {}: {reason}", path.display())]
     Secret {
-        /// Which key.
+        /// The key.
         key: &'static str,
         /// The secret's file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
 }
@@ -96,7 +96,7 @@ pub struct Config {
     pub site: Site,
     /// Where pictures come from.
     pub camera: Camera,
-    /// What finds vehicles.
+    /// The model that finds vehicles.
     #[serde(default)]
     pub model: Model,
     /// Where lanes are.
@@ -110,7 +110,7 @@ pub struct Config {
     /// Where messages go.
     #[serde(default)]
     pub mqtt: Mqtt,
-    /// What is kept until it has arrived.
+    /// The store of windows until they have arrived.
     #[serde(default)]
     pub spool: Spool,
     /// An I/O node on a serial line.
@@ -205,7 +205,7 @@ impl Config {
         Address::parse(&self.camera.source).map_err(wrong)
     }
 
-    /// Which certificate the camera may show.
+    /// Certificates that the camera may show.
     ///
     /// # Errors
     /// [`ConfigError::Secret`] for a file that cannot be read, [`ConfigError::Camera`].

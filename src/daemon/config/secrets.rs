@@ -66,7 +66,7 @@ pub(super) fn private(key: &'static str, path: &Path) -> Result<String, ConfigEr
     Ok(text)
 }
 
-/// What is wrong with a secret's mode.
+/// The fault of a secret's mode.
 fn judge(mode: u32, is_credential: bool) -> Result<(), String> {
     let mode = mode & 0o777;
     match (is_credential, mode & 0o022, mode & 0o055) {

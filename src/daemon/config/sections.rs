@@ -50,7 +50,7 @@ const fn default_timeout_s() -> f64 {
     10.0
 }
 
-/// What finds vehicles.
+/// The model that finds vehicles.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Model {
@@ -58,7 +58,7 @@ pub struct Model {
     pub file: PathBuf,
     /// Least score that counts; the sidecar's where it is not given.
     pub score: Option<f32>,
-    /// Which parts of a picture are searched: `auto` or `whole`.
+    /// Searched parts of a picture: `auto` or `whole`.
     pub views: Views,
     /// Columns and rows of the net's input: `auto` or such as `800x608`.
     pub input: NetInput,
@@ -75,7 +75,7 @@ impl Default for Model {
     }
 }
 
-/// Which parts of a picture are searched.
+/// Searched parts of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Views {
@@ -129,7 +129,7 @@ pub struct LaneTable {
     /// The files of the camera's other presets.
     #[serde(default)]
     pub presets: Vec<PathBuf>,
-    /// What `verge audit` has found at this site.
+    /// File of this site's `verge audit`.
     pub audit: Option<PathBuf>,
 }
 
@@ -177,7 +177,7 @@ impl Default for Traffic {
     }
 }
 
-/// What is kept until it has arrived.
+/// The store of windows until they have arrived.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spool {
@@ -251,7 +251,7 @@ impl Default for Mqtt {
     }
 }
 
-/// What a camera's source is, by how it begins.
+/// Kind of a camera's source, by its prefix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SourceKind {
     /// A camera on a network: anything with `://`.
@@ -262,12 +262,12 @@ pub enum SourceKind {
     Folder,
 }
 
-/// What a source is that nobody can open.
+/// The fault of a source that nothing can open.
 pub(super) const NEITHER: &str = "it is neither an address nor a folder: a camera's begins with http://, \
     https://, mjpeg+http://, mjpeg+https://, rtsp:// or rtsps://";
 
 impl Camera {
-    /// What the source is.
+    /// The kind of the source.
     pub fn kind(&self) -> SourceKind {
         match self.source.trim() {
             source if source.contains("://") => SourceKind::Network,
@@ -286,7 +286,7 @@ impl Camera {
         self.kind() == SourceKind::Folder && (source.starts_with("//") || has_dots || is_scheme)
     }
 
-    /// What is wrong with the source, where nobody could open it.
+    /// The fault of a source that nothing can open.
     pub(super) fn impossible(&self) -> Option<String> {
         match self.kind() {
             SourceKind::Network => Address::parse(&self.source).err().map(|e| e.to_string()),

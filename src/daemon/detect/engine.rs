@@ -29,10 +29,10 @@ pub enum Precision {
     Portable,
 }
 
-/// What computes a part of a net, and its share of the net's time.
+/// One of the parts that compute a net, and its share of the net's time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Share {
-    /// What computes: kernels with their instruction set, or tract with its operators.
+    /// The part: kernels with their instruction set, or tract with its operators.
     pub by: String,
     /// Nodes of the plan.
     pub nodes: usize,
@@ -89,7 +89,7 @@ impl Engine {
         self.state.op_states[node?].as_mut()?.downcast_mut()
     }
 
-    /// In words: what computes, and of what is left to tract the first.
+    /// In words: what computes, and the first part that is left to tract.
     pub(super) fn describe(&self) -> String {
         let kernels: Vec<&Subnet> =
             self.state.model().nodes().iter().filter_map(|node| node.op_as::<Subnet>()).collect();
@@ -112,7 +112,7 @@ impl Engine {
         }
     }
 
-    /// What stays with tract.
+    /// Nodes that stay with tract.
     pub(super) fn left(&self) -> &[LeftToTract] {
         &self.left
     }
@@ -229,8 +229,8 @@ struct Ends {
     first: Option<usize>,
     /// The node of theirs that gives the only output, rows of cells: they are read in place.
     last: Option<usize>,
-    /// What tract is given in place of the input where that is filled in place and other nodes
-    /// follow. Nobody reads it.
+    /// Placeholder for tract where the input is filled in place and other nodes follow. Nobody
+    /// reads it.
     unread: Option<Arc<Tensor>>,
 }
 

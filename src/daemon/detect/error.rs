@@ -15,7 +15,7 @@ pub enum ModelError {
     Read {
         /// The model file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file is another one than the sidecar describes.
@@ -59,7 +59,7 @@ pub enum ModelError {
     SelfTest {
         /// The model file.
         path: PathBuf,
-        /// What differs.
+        /// The difference.
         reason: String,
     },
 }

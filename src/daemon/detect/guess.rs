@@ -1,4 +1,4 @@
-//! Which head a model seems to have, from the shapes of its outputs.
+//! Guess of a model's head, from the shapes of its outputs.
 
 use super::head_key::{HeadKind, HeadSpec};
 use super::sidecar::Sidecar;

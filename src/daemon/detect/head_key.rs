@@ -5,7 +5,7 @@ use serde::Deserialize;
 /// How a model's output is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HeadSpec {
-    /// Which decoding.
+    /// Decoding of the head.
     pub kind: HeadKind,
     /// Cell sizes of the output's levels, px, in their order.
     pub strides: Vec<usize>,
@@ -61,7 +61,7 @@ impl HeadKind {
     }
 }
 
-/// The key `head`: a kind, with what is not as usual.
+/// The key `head`: a kind, and where it differs from the usual.
 #[derive(Clone, Debug)]
 pub struct HeadKey {
     kind: HeadKind,

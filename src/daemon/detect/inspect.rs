@@ -1,4 +1,4 @@
-//! What a model file is, before there is a sidecar: for `verge-detector check`.
+//! Inspection of a model file before there is a sidecar: for `verge-detector check`.
 
 use super::engine::{Engine, Precision, Share};
 use super::head_key::HeadSpec;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// Runs that are timed.
 const TURNS: usize = 5;
 
-/// What a model file is.
+/// Properties of a model file.
 #[derive(Clone, Debug)]
 pub struct Inspection {
     /// SHA-256 of the file, hexadecimal.
@@ -24,11 +24,11 @@ pub struct Inspection {
     pub outputs: Vec<Vec<usize>>,
     /// The head that it seems to have.
     pub head: Option<HeadSpec>,
-    /// What computes it, in words.
+    /// The parts that compute it, in words.
     pub runs_on: String,
-    /// What stays with tract: operator, node and why.
+    /// Nodes that stay with tract: operator, node and reason.
     pub left: Vec<(String, String, String)>,
-    /// What computes which part, largest share of the time first.
+    /// The parts that compute it, largest share of the time first.
     pub shares: Vec<Share>,
     /// Time of one run on this machine.
     pub took: Duration,

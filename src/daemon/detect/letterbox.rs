@@ -26,7 +26,7 @@ pub(super) enum Into<'a> {
     Quantised(&'a mut [u8], QuantParams),
 }
 
-/// What is needed to fill a net's input. Everything is kept between pictures.
+/// Fills a net's input. Everything is kept between pictures.
 #[derive(Debug)]
 pub(super) struct Letterbox {
     input: [usize; 2],
@@ -85,7 +85,7 @@ impl Letterbox {
         if self.fit != Some(fit) {
             self.refit(fit);
         }
-        // What a byte of each channel becomes: factor and summand.
+        // Map of each channel's bytes: factor and summand.
         let (unit, zero) = match &into {
             Into::Quantised(_, steps) => (1.0 / steps.scale, f32::from(steps.zero_point)),
             _ => (1.0, 0.0),

@@ -21,7 +21,7 @@ const DEFAULT_SIZE: [usize; 2] = [640, 480];
 const MOST_PX: usize = 4096;
 const MOST_VALUES: usize = 1 << 27;
 
-/// What is asked of a file.
+/// Requirements on a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wanted {
     /// Columns and rows that the file must have, if it fixes them.
@@ -37,7 +37,7 @@ pub(super) struct Loaded {
     pub(super) model: TypedModel,
     /// Columns and rows of its input.
     pub(super) size: [usize; 2],
-    /// What the kernels do not know.
+    /// Nodes that the kernels do not know.
     pub(super) left: Vec<LeftToTract>,
 }
 

@@ -36,8 +36,8 @@ pub(super) fn merge(
     found.sort_unstable_by(best_first);
 }
 
-/// Whether a box lies so far inside of `part`. What the picture itself cuts off is no wider
-/// pass's either.
+/// Whether a box lies so far inside of `part`. At the picture's own edge a wider pass would see no
+/// more of it.
 fn is_inside(bounds: &PixelBox, part: Region, picture: &Picture, by: f32) -> bool {
     let low = |value: f32, first: usize| first == 0 || value >= first as f32 + by;
     let high = |value: f32, end: usize, all: usize| end >= all || value <= end as f32 - by;

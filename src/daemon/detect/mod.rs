@@ -68,7 +68,7 @@ pub struct Detector {
     head: Head,
     passes: Vec<Pass>,
     candidates: Vec<Detection>,
-    /// What the latest pass but the first has found.
+    /// Detections of one pass behind the first, before they are merged.
     close: Vec<Detection>,
 }
 
@@ -201,7 +201,7 @@ impl Detector {
         }
     }
 
-    /// What the sidecar of a model says, without loading it.
+    /// Reads the sidecar of a model without loading the model.
     ///
     /// # Errors
     /// [`ModelError::Sidecar`].
@@ -232,7 +232,7 @@ impl Detector {
         [self.sidecar.input.width_px, self.sidecar.input.height_px]
     }
 
-    /// What the model says about itself.
+    /// The model's description of itself.
     pub fn sidecar(&self) -> &Sidecar {
         &self.sidecar
     }
@@ -274,13 +274,13 @@ impl Detector {
         Ok(())
     }
 
-    /// What computes: the instruction set of the kernels, and what is left to tract.
+    /// The instruction set of the kernels, and the part left to tract.
     pub fn runs_on(&self) -> String {
         self.engine.describe()
     }
 
-    /// What computes which part of the net, with its share of the time, largest first: from
-    /// `turns` runs over what was searched last.
+    /// The parts that compute the net, with their shares of the time, largest first: from `turns`
+    /// runs over the latest search.
     ///
     /// # Errors
     /// [`DetectError`] where inference fails.

@@ -107,11 +107,11 @@ struct Piece {
     width: f32,
     /// Its middle, px.
     middle: [f32; 2],
-    /// What vehicles cover that stand on it: left, upper, right, lower edge, px.
+    /// Pixels that vehicles on it cover: left, upper, right, lower edge, px.
     extent: [f32; 4],
 }
 
-/// What is summed over the pixels of a piece.
+/// Sums over the pixels of a piece.
 #[derive(Clone, Copy)]
 struct Sum {
     area: f32,

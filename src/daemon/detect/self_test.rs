@@ -24,7 +24,7 @@ pub(super) fn picture() -> Picture {
 /// Compares what was found with what is known.
 ///
 /// # Errors
-/// What differs.
+/// The difference.
 pub(super) fn compare(found: &[Detection], known: &SelfTest) -> Result<(), String> {
     if found.len() != known.boxes.len() {
         return Err(format!(

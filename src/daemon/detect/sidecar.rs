@@ -34,8 +34,8 @@ const KNOWN: &[(&str, &str)] = &[
 /// Largest side of a model's input, px.
 const MAX_INPUT_PX: usize = 4096;
 
-/// What an input that is not the file's is a multiple of, px: the cells of stride 32 that are
-/// enlarged meet those of stride 16, and theirs those of stride 8.
+/// An input of another size than the file's is a multiple of this, px: the cells of stride 32 that
+/// are enlarged meet those of stride 16, and theirs those of stride 8.
 const INPUT_STEP_PX: usize = 32;
 
 /// Why a sidecar cannot be used.
@@ -46,10 +46,10 @@ pub enum SidecarError {
     Read {
         /// Sidecar or model.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// There is none.
+    /// The model has no sidecar.
     #[error(
         "model {}: no sidecar {} beside it, and its SHA-256 is none that verge knows",
         model.display(), sidecar.display()
@@ -73,9 +73,9 @@ pub enum SidecarError {
     Value {
         /// The sidecar.
         path: PathBuf,
-        /// Which key.
+        /// The key.
         key: &'static str,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
 }
@@ -98,9 +98,9 @@ pub struct Sidecar {
     /// of the output decides.
     #[serde(default)]
     pub head: Option<HeadKey>,
-    /// Which score columns are vehicles.
+    /// Score columns of vehicles.
     pub class: Vec<ClassColumn>,
-    /// What counts as found.
+    /// Least scores of detections.
     pub thresholds: Thresholds,
     /// How boxes are weighed where the net's score alone does not decide.
     #[serde(default)]
@@ -111,7 +111,7 @@ pub struct Sidecar {
     /// How a camera's mean count differs from the truth, over cameras that it was not trained on.
     #[serde(default)]
     pub counting: Option<Counting>,
-    /// What it finds in the known picture that is searched when it is loaded.
+    /// Detections in the known picture, which is searched when the model is loaded.
     #[serde(default)]
     pub self_test: Option<SelfTest>,
 }
@@ -128,7 +128,7 @@ pub struct Step {
     pub car_px: f32,
 }
 
-/// What a model must find in the known picture (`self_test.rs`).
+/// Detections that a model must make in the known picture (`self_test.rs`).
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SelfTest {
@@ -180,11 +180,11 @@ impl Input {
 pub struct ClassColumn {
     /// Column, from 0.
     pub index: usize,
-    /// Which class it means.
+    /// Its class.
     pub name: VehicleClass,
 }
 
-/// What counts as found.
+/// Least scores of detections.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {

@@ -1,4 +1,4 @@
-//! What a line is built from, and its building.
+//! Settings of a line, and how it is built.
 //!
 //! Owns which input, regions and corrections follow from model, lane tables and the site's file.
 
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// the camera has moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judging {
-    /// They are, and what is not fit is withheld.
+    /// They are, and an unfit picture is withheld.
     Heeded,
     /// They are, and measured all the same: to time the line.
     Ignored,
@@ -32,7 +32,7 @@ impl From<bool> for Judging {
     }
 }
 
-/// What a line is built from.
+/// Settings of a line.
 #[derive(Clone, Debug)]
 pub struct LineSettings {
     /// The camera's lane tables.
@@ -47,7 +47,7 @@ pub struct LineSettings {
     pub input: NetInput,
     /// The site's own file: what an audit has found.
     pub audit: Option<PathBuf>,
-    /// Which parts of a picture are searched.
+    /// Searched parts of a picture.
     pub views: Views,
 }
 

@@ -47,7 +47,7 @@ struct Key<'a> {
     value: &'a str,
     /// Whether it has a `#` in front.
     off: bool,
-    /// What the comment before it says; keys that follow one another share it.
+    /// The comment before it; keys that follow one another share it.
     about: String,
 }
 

@@ -1,4 +1,4 @@
-//! What an overlay is drawn on: pixels in RGB, with shapes and letters of embedded-graphics.
+//! Canvas of an overlay: pixels in RGB, with shapes and letters of embedded-graphics.
 
 use super::ink_on;
 use crate::daemon::frame::Picture;
@@ -82,7 +82,7 @@ impl Canvas {
         Self(resize(&image, width * scale, height * scale, FilterType::Triangle))
     }
 
-    /// What was drawn.
+    /// The picture.
     pub fn into_image(self) -> RgbImage {
         self.0
     }

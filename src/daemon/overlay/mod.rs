@@ -17,7 +17,7 @@ use std::io::Cursor;
 const LEAST_WIDTH_PX: usize = 960;
 /// How much of a lane's colour lies over the road, 0 to 255.
 const TINT: u8 = 56;
-/// Shifts of the scene from which on they are worth a word, px.
+/// Least shift of the scene that is worth reporting, px.
 const LEAST_SHIFT_PX: f32 = 0.1;
 /// The stretches of a lane, as shares of its length, between whose middles its arrow lies.
 const ARROW: [std::ops::Range<f32>; 2] = [0.25..0.45, 0.55..0.75];

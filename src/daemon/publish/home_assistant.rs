@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use verge_messages::Topic;
 
-/// What the configuration says of it.
+/// Its section of the configuration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
@@ -169,7 +169,7 @@ impl Announced {
         Self { file, topics: text.lines().map(str::to_owned).collect() }
     }
 
-    /// What is to be taken back when these alone are announced from now on: empty messages.
+    /// Messages that withdraw everything but these announcements: empty ones.
     pub fn given_up(&self, now: &[Announcement]) -> Vec<Announcement> {
         let is_gone = |topic: &&String| now.iter().all(|new| new.topic != **topic);
         let empty = |topic: &String| Announcement { topic: topic.clone(), payload: Vec::new() };

@@ -87,7 +87,7 @@ impl Identity {
     }
 }
 
-/// What has become of the connection and of the windows given to it.
+/// An event of the connection, or of a window given to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
     /// A session is open: it knows nothing of what was given before.
@@ -185,7 +185,7 @@ impl Publisher {
     pub fn arrears_wanted(&mut self) -> usize {
         let now = Instant::now();
         let (allowed, since) = self.allowance;
-        // What was not used in a second is not saved up for a burst.
+        // The unused allowance of a second is not saved up for a burst.
         let most = self.replay_per_s.max(1.0);
         let earned = now.duration_since(since).as_secs_f64() * self.replay_per_s;
         self.allowance = ((allowed + earned).min(most), now);
@@ -213,7 +213,7 @@ impl Publisher {
         }
     }
 
-    /// What has happened since it was asked last, in its order.
+    /// The next event since the last call, in order.
     pub fn delivery(&mut self) -> Option<Delivery> {
         let report = self.connection.report()?;
         Some(self.heard(report))
@@ -248,7 +248,7 @@ impl Publisher {
         self.state(Topic::Alarm(alarm.name), verge_messages::json(alarm));
     }
 
-    /// Says to Home Assistant what there is to read; kept by the broker.
+    /// Announces the sensor's values to Home Assistant; the broker keeps it.
     pub fn announce(&self, announcement: home_assistant::Announcement) {
         let home_assistant::Announcement { topic, payload } = announcement;
         self.connection.state(Message { topic, payload, retain: true });

@@ -1,4 +1,4 @@
-//! What is loaded beside the running configuration, and what is refused.
+//! Loading beside the running configuration, and refusals.
 
 use super::*;
 use crate::daemon::assemble::open_line;

@@ -1,4 +1,4 @@
-//! What the sensor's actions become: messages, metrics and lines of the log.
+//! Carries out the sensor's actions: messages, metrics and lines of the log.
 //!
 //! Owns the outlet, and how faults are reported. Decides nothing.
 
@@ -27,13 +27,13 @@ pub struct Hands {
     pub(super) outlet: Outlet,
     pub(super) metrics: Option<Metrics>,
     announcements: Vec<Announcement>,
-    /// What was announced to Home Assistant, in earlier runs too.
+    /// Announcements to Home Assistant, of earlier runs too.
     known: Announced,
     /// The session in which it was announced.
     announced: Option<u64>,
     /// The latest fault, until a picture is measured.
     last_fault: Option<String>,
-    /// What to do about a camera that is slower than it is asked.
+    /// Advice for a camera that is slower than it is asked.
     slow: Option<String>,
     /// Why the latest new configuration was refused.
     refused: Option<String>,
@@ -163,7 +163,7 @@ impl Hands {
         self.refused = reason.map(|failure| format!("reload refused: {failure}"));
     }
 
-    /// What is wrong: with the pictures first, then with their number, else with a new configuration.
+    /// The present fault: of the pictures first, then of their number, else of a new configuration.
     pub fn fault(&self) -> Option<&str> {
         let faults = [&self.last_fault, &self.slow, &self.refused];
         faults.into_iter().find_map(Option::as_deref)

@@ -1,4 +1,4 @@
-//! What the log says of windows: the longest ones, and when the first come.
+//! Log lines about windows: the longest ones, and when the first come.
 //!
 //! Owns the words. When they are written is `hands`' and the loop's.
 

@@ -37,7 +37,7 @@ fn survive<T>(stage: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> 
     })
 }
 
-/// What a fault means to the sensor.
+/// The sensor's outcome for a fault.
 fn outcome_of(fault: &Failure) -> Outcome<'static> {
     match fault {
         Failure::Stage(_) => Outcome::StageFault,

@@ -1,4 +1,4 @@
-//! Which windows wait, and which of them is sent next.
+//! Windows that wait, and which of them is sent next.
 //!
 //! Owns the order: the oldest first, each once in a session, and again when something has changed.
 

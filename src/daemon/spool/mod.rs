@@ -37,7 +37,7 @@ use storage::remove;
 /// Most windows that are kept in memory while the disk takes none: a day of minutes.
 pub const MAX_IN_MEMORY: usize = 1440;
 
-/// What follows when the disk takes no windows.
+/// Consequence of a disk that takes no windows.
 const IN_MEMORY: &str = "until the disk takes them windows are kept in memory alone, and those that the \
                          broker has not taken are lost at the next restart";
 
@@ -59,7 +59,7 @@ pub enum SpoolError {
     Disk(#[from] io::Error),
 }
 
-/// What the spool holds and has lost.
+/// Counts of held and of lost windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SpoolCounts {
     /// Windows that wait for their acknowledgement.
@@ -94,7 +94,7 @@ struct Entry {
     given: Given,
 }
 
-/// What a segment's bytes hold.
+/// Content of a segment's bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SegmentContents {
     /// Good records of windows.
@@ -120,7 +120,7 @@ pub fn examine(segment: &[u8]) -> SegmentContents {
 /// there, and a folder that was not there is not afterwards.
 ///
 /// # Errors
-/// What the system says.
+/// The system's error.
 pub fn probe(folder: &Path) -> io::Result<bool> {
     let is_new = !folder.exists();
     std::fs::create_dir_all(folder)?;
@@ -264,7 +264,7 @@ impl Spool {
         }
     }
 
-    /// What the spool holds and has lost.
+    /// Counts of held and of lost windows.
     pub fn counts(&self) -> SpoolCounts {
         SpoolCounts {
             waiting: self.entries.len() as u64,

@@ -23,7 +23,7 @@ const PAGE: usize = 4096;
 #[derive(Debug)]
 pub(super) struct Numbers {
     file: File,
-    /// Which page is written next.
+    /// The page that is written next.
     page: u64,
 }
 

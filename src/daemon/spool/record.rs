@@ -22,7 +22,7 @@
 use crate::wire::{self, DensityMessage, MAX_MESSAGE};
 use crc::{CRC_32_ISO_HDLC, Crc};
 
-/// What a segment begins with: name and format version.
+/// First bytes of a segment: name and format version.
 pub(super) const HEAD: [u8; 4] = *b"VSP\x01";
 /// Most keys in one record of acknowledgements.
 pub(super) const MAX_KEYS: usize = 128;
@@ -39,7 +39,7 @@ pub(super) const MAX_RECORD: usize = MAX_BODY + FRAME;
 const SYNC: [u8; 2] = *b"VR";
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// What a record says.
+/// Content of a record.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Record {
     /// A window that was accepted.
@@ -160,7 +160,7 @@ fn keys(body: &[u8]) -> Option<Vec<u64>> {
     keys.map(|key| Some(u64::from_le_bytes(*key.first_chunk()?))).collect()
 }
 
-/// What a scan of a segment found.
+/// Result of a segment's scan.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Scan {
     /// Offset and content of each good record.

@@ -1,4 +1,4 @@
-//! What an earlier run has left on the disk.
+//! Recovery of the windows that an earlier run has left on the disk.
 //!
 //! Owns what counts as damage, and that numbers never begin again: where it cannot be known which
 //! were used, they jump over all that may have been.
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// What is known of the newest segment when all are read.
+/// The newest segment, when all are read.
 #[derive(Default)]
 struct Newest {
     scan: Scan,
@@ -99,7 +99,7 @@ impl Spool {
     fn judge(&mut self, path: &Path, scan: &Scan, len: usize, is_newest: bool) -> usize {
         self.counts.damaged += scan.damaged;
         let holds_windows = scan.records.iter().any(|(_, r)| matches!(r, Record::Window { .. }));
-        // What a crash leaves while a segment is being made.
+        // A crash leaves this while a segment is being made.
         let is_unborn = is_newest && !holds_windows && !scan.is_torn() && scan.damaged == 0;
         let mut unknown = 0;
         if len < SEGMENT && !is_unborn {

@@ -28,7 +28,7 @@ pub(super) struct Segment {
     end: usize,
 }
 
-/// What a file of a segment's name turned out to be.
+/// Result of opening a file with a segment's name.
 #[derive(Debug)]
 pub(super) enum Opened {
     /// A segment with its good records, and the bytes of the file that were read.

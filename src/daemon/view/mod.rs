@@ -12,7 +12,7 @@ use verge_desk::page::{File, SCRIPT};
 /// The page itself.
 pub const INDEX: &str = include_str!("page/index.html");
 
-/// What it asks for, beside what all pages share.
+/// Files of the page, beside those that all pages share.
 const FILES: [File; 1] = [("view.js", SCRIPT, include_str!("page/view.js"))];
 
 /// The file of this name: its media type and its content.

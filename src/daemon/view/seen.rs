@@ -9,7 +9,7 @@ use crate::picture::Light;
 use crate::units::{Direction, ImagePoint, ImageSize};
 use serde::Serialize;
 
-/// What is seen now.
+/// The view now.
 #[derive(Clone, Debug, Serialize)]
 pub struct Seen {
     /// Columns and rows of the picture, px.
@@ -55,7 +55,7 @@ struct InLane {
     mean: f32,
 }
 
-/// What was counted since the view was opened.
+/// Counts since the view was opened.
 #[derive(Clone, Debug, Default)]
 pub struct Totals {
     pictures: u32,
@@ -63,7 +63,7 @@ pub struct Totals {
 }
 
 impl Seen {
-    /// What `line` has made of its latest picture, of this size.
+    /// The view of `line`'s latest picture, of this size.
     pub fn of(line: &Line, (width, height): (usize, usize), totals: &mut Totals) -> Self {
         let side = |px: usize| u16::try_from(px).unwrap_or(u16::MAX);
         let size = ImageSize { width: side(width), height: side(height) };

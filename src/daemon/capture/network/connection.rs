@@ -41,7 +41,7 @@ impl Connection {
         let addresses = dial::resolve(&address.host, address.port, limit)
             .map_err(|reason| Fault::Name { host: address.host.clone(), reason })?;
         let stream = dial::connect(&addresses, deadline, limit).map_err(Fault::Connect)?;
-        // What is sent is short, and waits for an answer.
+        // Requests are short, and wait for an answer.
         let _ = stream.set_nodelay(true);
         let mut connection =
             Self { stream: Stream::Plain(Timed::new(stream)), deadline, asked: limit };
@@ -66,7 +66,7 @@ impl Connection {
         Instant::now() >= self.deadline
     }
 
-    /// What an error of a read or write is.
+    /// The fault in an error of a read or write.
     pub fn fault(&self, error: &io::Error, what: &'static str) -> Fault {
         if let Some(error) = error.get_ref().and_then(|inner| inner.downcast_ref::<rustls::Error>())
         {
@@ -188,7 +188,7 @@ fn secure_fault(error: &rustls::Error) -> Fault {
     })
 }
 
-/// What the system says, without the number in brackets.
+/// The system's words, without the number in brackets.
 pub fn system(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::ConnectionReset | io::ErrorKind::BrokenPipe => {

@@ -1,6 +1,6 @@
 //! The head of an answer: a line with the status, then header lines, then an empty one.
 //!
-//! Owns how it is read: as browsers and curl do, which pass over what is not quite a header.
+//! Owns how it is read: as browsers and curl do, which skip lines that are not quite a header.
 //! HTTP (RFC 9112) and RTSP (RFC 2326) have the same form.
 //!
 //! ```text

@@ -127,7 +127,7 @@ fn request(address: &Address, headers: &[(&str, &str)], login: Option<&str>) -> 
     );
     for (name, value) in headers.iter().copied().chain(login.map(|login| ("Authorization", login)))
     {
-        // What a camera sent goes back to it: it must not become lines of its own.
+        // The camera chose this text: it must not become header lines of its own.
         if value.chars().all(|c| c == '\t' || !c.is_control()) {
             text.push_str(&format!("{name}: {value}\r\n"));
         }
@@ -189,7 +189,7 @@ pub(in crate::daemon::capture) fn read_head(
 #[derive(Debug)]
 pub struct Body {
     connection: Connection,
-    /// What was read and not given yet, and how much of it was.
+    /// Bytes read, and how many of them were handed out.
     buffer: Vec<u8>,
     given: usize,
     /// Bytes that are left of the length or the chunk; `None`: until the connection ends.

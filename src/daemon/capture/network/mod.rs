@@ -1,4 +1,4 @@
-//! What cameras on a network have in common: how they are reached, and how they are named in
+//! Shared by cameras on a network: how they are reached, and how they are named in
 //! messages.
 //!
 //! Owns settings and faults of such cameras. [`connection`] is the bytes, with TLS and time
@@ -42,7 +42,7 @@ pub struct CameraSettings {
     pub address: Address,
     /// User and password; the address may hold them too.
     pub credentials: Option<Credentials>,
-    /// Which certificate it may show.
+    /// Certificates that it may show.
     pub trust: Trust,
     /// Other hosts to which it may redirect.
     pub redirect_hosts: Vec<String>,
@@ -52,8 +52,8 @@ pub struct CameraSettings {
     pub timeout: Duration,
     /// Columns and rows of the lane table, px: pictures of another shape are refused undecoded.
     pub size: Option<(u32, u32)>,
-    /// Whether every picture of a video is decoded, as one that follows vehicles needs, or those
-    /// alone that stand by themselves.
+    /// Whether every picture of a video is decoded, as one that follows vehicles needs, or key
+    /// pictures alone.
     pub every_picture: bool,
 }
 
@@ -93,11 +93,11 @@ impl CameraSettings {
 pub struct CameraError {
     /// The camera, without login and query.
     pub address: String,
-    /// What happened.
+    /// The fault.
     pub fault: Fault,
 }
 
-/// What happened. What a camera says in it is cut short.
+/// A fault of the connection or of the answer. Words of the camera in it are cut short.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {
     /// Its name has no address.
@@ -107,7 +107,7 @@ pub enum Fault {
     Name {
         /// The name.
         host: String,
-        /// What the system says.
+        /// The system's reason.
         reason: String,
     },
     /// Nobody answers there.
@@ -122,15 +122,15 @@ pub enum Fault {
     /// Nothing came for as long as it may take.
     #[error("no {what} for {:.1} s", waited.as_secs_f32())]
     Timeout {
-        /// What did not come.
+        /// The part that was waited for.
         what: &'static str,
         /// How long was waited.
         waited: Duration,
     },
-    /// What came is not the protocol.
+    /// The answer is not of the protocol.
     #[error("the answer is not {protocol} ({begins})")]
     Protocol {
-        /// Which one.
+        /// The protocol.
         protocol: &'static str,
         /// How it begins.
         begins: String,
@@ -138,7 +138,7 @@ pub enum Fault {
     /// An answer other than a picture.
     #[error("{protocol} status {status}{}", hint(*status))]
     Status {
-        /// Which protocol.
+        /// The protocol.
         protocol: &'static str,
         /// The status.
         status: u16,
@@ -182,7 +182,7 @@ pub enum Fault {
     /// A stream at the address of a snapshot.
     #[error("this is a stream, picture after picture: put mjpeg+ before its address")]
     IsStream,
-    /// A video without pictures that stand by themselves.
+    /// A video without key pictures.
     #[error(
         "{pictures} pictures in {:.0} s and no key picture among them: set the camera's key (I-frame) \
          interval to a few seconds, and switch smart codecs (H.264+, Zipstream) off",
@@ -199,7 +199,7 @@ pub enum Fault {
     Ended(String),
 }
 
-/// What to do about a status, for the end of a message.
+/// Advice for a status, for the end of a message.
 const fn hint(status: u16) -> &'static str {
     match status {
         401 | 403 => "; check camera.user and camera.password_file, and what this user may see",

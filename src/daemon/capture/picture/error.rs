@@ -13,7 +13,7 @@ pub enum DecodeError {
     /// Neither JPEG nor PNG.
     #[error("{what}")]
     Format {
-        /// What it is.
+        /// Its kind.
         what: String,
     },
     /// The end is missing.
@@ -43,7 +43,7 @@ pub enum DecodeError {
         width: u32,
         /// Rows.
         height: u32,
-        /// What it would take.
+        /// Memory that it would take.
         megabytes: u64,
     },
     /// Not the shape of the lane table's picture.

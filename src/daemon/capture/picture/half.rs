@@ -36,7 +36,7 @@ pub fn decode(bytes: &[u8], picture: &mut Picture) -> Result<bool, DecodeError> 
     if !matches!(info.pixel_format, PixelFormat::RGB24 | PixelFormat::L8) {
         return Ok(false);
     }
-    // What is held of the picture before makes room.
+    // Frees the memory of the picture before.
     picture.rgb = Vec::new();
     let (width, height) =
         decoder.scale(info.width / 2, info.height / 2).map_err(|error| damaged(&error))?;

@@ -1,4 +1,4 @@
-//! What bytes are that were to be a picture, by how they begin.
+//! Recognises by their first bytes files that are not a picture to measure.
 //!
 //! Owns the words for what is not a picture to measure: a page, an error in JSON, another format.
 
@@ -22,7 +22,7 @@ pub enum Kind {
 pub const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 impl Kind {
-    /// What these bytes are, if it is one of them.
+    /// The kind of these bytes, if it is one of them.
     pub fn of(bytes: &[u8]) -> Option<Self> {
         match bytes {
             [0xff, 0xd8, 0xff, ..] => Some(Self::Jpeg),
@@ -41,7 +41,7 @@ pub fn trimmed(bytes: &[u8]) -> &[u8] {
     }
 }
 
-/// What bytes are when they are not a picture, and what to do about it.
+/// Words for bytes that are not a picture, and what to do about them.
 pub fn described(bytes: &[u8]) -> String {
     if bytes.is_empty() {
         return "the answer is empty (0 bytes)".to_owned();
@@ -110,7 +110,7 @@ fn other_format(bytes: &[u8]) -> Option<&'static str> {
     })
 }
 
-/// Which video these bytes are.
+/// The video format of these bytes.
 pub fn video(bytes: &[u8]) -> Option<&'static str> {
     let brand = bytes.get(8..12).unwrap_or_default();
     Some(match bytes {

@@ -183,7 +183,7 @@ fn decode_png(
             push_rgb(row.data(), color, &mut picture.rgb);
         }
     }
-    // What stands behind the pixels: a picture that was cut off there is not whole.
+    // Reads to the end of the file: a picture cut off behind the pixels is not whole.
     reader.finish().map_err(|_| DecodeError::Truncated { bytes: bytes.len() })?;
     if picture.rgb.len() != picture.width * picture.height * 3 {
         return Err(DecodeError::Damaged("rows are missing".to_owned()));
@@ -264,7 +264,7 @@ fn check(
 /// Turns a picture upright and makes it smaller where it is too large. What is turned is a copy: it
 /// is made smaller before.
 fn finish(picture: &mut Picture, orientation: u8) {
-    // Which columns and rows are left over stays as it is for upright pictures: the last.
+    // Upright pictures lose the same columns and rows as ever: the last.
     reduce_from(
         picture,
         matches!(orientation, 2 | 3 | 7 | 8),

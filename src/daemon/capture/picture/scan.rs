@@ -42,7 +42,7 @@ pub enum StreamError {
 pub struct Pictures<R> {
     reader: R,
     buffer: Vec<u8>,
-    /// What of the buffer was looked at.
+    /// Start of the part of the buffer that is still to be searched.
     start: usize,
     /// Where each read ends up first: zeroed once and not before every read.
     chunk: Box<[u8]>,
@@ -129,7 +129,7 @@ impl<R: Read> Pictures<R> {
         }
     }
 
-    /// What came in place of pictures.
+    /// Words for the bytes that came in place of pictures.
     fn described(&self) -> String {
         let mut bytes = self.preamble.clone();
         if self.found == 0 {

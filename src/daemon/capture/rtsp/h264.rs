@@ -1,7 +1,7 @@
 //! From RTP packets to H.264 pictures (RFC 6184): single units, STAP-A and FU-A.
 //!
-//! Owns which packets make a whole picture, and which pictures stand by themselves. A picture
-//! with anything missing is not given on. Does not decode.
+//! Owns which packets make a whole picture, and which pictures decode without others. A picture
+//! with anything missing is dropped. Does not decode.
 
 use super::rtp::{Follows, Order, Packet};
 use super::{MAX_UNIT, Unit};
@@ -24,7 +24,7 @@ pub struct Assembler {
     sets: Vec<Set>,
     picture: Vec<u8>,
     timestamp: Option<u32>,
-    /// What is known of the picture that is being collected.
+    /// State of the picture that is being collected.
     state: State,
     /// A fragmented unit is being collected, and began here.
     fragment: Option<usize>,
@@ -126,7 +126,7 @@ impl Assembler {
         self.fragment = None;
     }
 
-    /// Gives the picture on, where it is whole and stands by itself.
+    /// Hands the picture over, where it is whole and decodes without others.
     fn finish(&mut self, unit: &mut Unit) -> bool {
         let State { slices, key, broken, .. } = self.state;
         if self.timestamp.is_none() || slices == 0 {
@@ -205,7 +205,7 @@ impl Assembler {
             return;
         }
         if last && let Some(at) = self.fragment.take() {
-            // Behind its start code. What is no slice is taken as what it is.
+            // Behind its start code. A unit that is not a slice is handled by its type.
             let whole = self.picture.split_off(at);
             self.unit(&whole[4..]);
         }

@@ -21,7 +21,7 @@ fn packets(unit: &[u8], size: usize) -> Vec<Vec<u8>> {
     parts.iter().enumerate().map(|(index, part)| [&head(index)[..], part].concat()).collect()
 }
 
-/// What a stream's pictures become: key or not, and their bytes. `drop` loses a packet.
+/// The pictures of a stream: key or not, and their bytes. `drop` loses a packet.
 fn assembled(size: usize, drop: Option<usize>, marker: bool) -> (Vec<(bool, Vec<u8>)>, Assembler) {
     let (mut assembler, mut unit, mut given) = (Assembler::default(), Unit::default(), Vec::new());
     let (mut sequence, mut timestamp) = (u16::MAX - 3, 0);

@@ -76,7 +76,7 @@ impl Assembler {
         }
         self.data.clear();
         self.header.clear();
-        // What follows under the same time belongs to nothing.
+        // Further packets of the same time belong to nothing.
         self.broken = true;
         whole
     }

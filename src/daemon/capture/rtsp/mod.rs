@@ -5,7 +5,7 @@
 //! protocol, [`sdp`] the description, [`rtp`], [`h264`] and [`jpeg`] make whole pictures of
 //! packets, [`video`] decodes.
 //!
-//! Where density alone is asked for, pictures that stand by themselves (key pictures) are enough:
+//! Where density alone is asked for, key pictures, which decode without others, are enough:
 //! they are kept as they come, and one is decoded when the line asks for it. Where every picture
 //! is asked for, the thread decodes them all, for each builds on the one before.
 
@@ -38,7 +38,7 @@ use video::Video;
 pub const MAX_UNIT: usize = 2 << 20;
 /// Oldest key picture that is taken, where the line asks seldom.
 const OLDEST: Duration = Duration::from_secs(10);
-/// Packets in a row that are none before a stream is given up.
+/// Bad packets in a row before a stream is given up.
 const MOST_BAD_PACKETS: u32 = 1000;
 
 /// A coded picture, or a decoded one.
@@ -46,9 +46,9 @@ const MOST_BAD_PACKETS: u32 = 1000;
 pub struct Unit {
     /// JPEG or H.264 in Annex B's form.
     pub bytes: Vec<u8>,
-    /// Which of the two.
+    /// JPEG, not H.264.
     pub jpeg: bool,
-    /// It stands by itself.
+    /// It decodes without others.
     pub key: bool,
     /// It is decoded already, and this is it.
     pub picture: Option<Picture>,
@@ -85,7 +85,7 @@ impl Rtsp {
         }
     }
 
-    /// What became of the stream since start.
+    /// Counts of the stream's frames since start.
     pub fn counts(&self) -> StreamCounts {
         let stream = locked(&self.stream);
         StreamCounts {
@@ -106,12 +106,12 @@ impl Rtsp {
         (!self.settings.every_picture).then_some(self.settings.interval)
     }
 
-    /// What is known of the stream.
+    /// Description of the stream, as far as it is known.
     pub fn stream(&self) -> Stream {
         locked(&self.stream).clone()
     }
 
-    /// What the stream is, and what to set.
+    /// The stream in words, and what to set.
     pub fn describe(&self) -> String {
         self.stream().describe(self.key_interval_allowed())
     }
@@ -197,7 +197,7 @@ fn decode(
     }
 }
 
-/// What makes pictures of packets.
+/// Assembles packets into pictures.
 enum Assembler {
     H264(Box<h264::Assembler>),
     Jpeg(jpeg::Assembler),
@@ -338,7 +338,7 @@ impl Every {
         let mut picture = unit.picture.take().unwrap_or_default();
         let decoded = video.decode(&unit.bytes, shape, &mut picture);
         if decoded.is_err() {
-            // What follows builds on it.
+            // Later pictures build on it.
             self.refused += 1;
             self.video = None;
             return false;

@@ -14,12 +14,12 @@ pub struct Packet<'a> {
     pub sequence: u16,
     /// When its picture was taken, in ticks of the stream's clock.
     pub timestamp: u32,
-    /// What it carries.
+    /// Its content.
     pub payload: &'a [u8],
 }
 
 impl<'a> Packet<'a> {
-    /// Reads a packet. `None`: it is none.
+    /// Reads a packet; `None` where the bytes are not one.
     pub fn parse(bytes: &'a [u8]) -> Option<Self> {
         let (header, mut payload) = bytes.split_first_chunk::<12>()?;
         if header[0] >> 6 != 2 {

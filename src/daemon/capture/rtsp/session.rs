@@ -29,7 +29,7 @@ const SESSION_S: u64 = 60;
 /// Most messages and packets that are passed over while an answer is waited for.
 const MAX_PASSED: usize = 10_000;
 
-/// What a session gives.
+/// An event of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// A packet of the stream lies in [`Session::packet`].
@@ -48,7 +48,7 @@ pub struct Session {
     /// Where the latest packet lies in the buffer.
     packet: std::ops::Range<usize>,
     rubbish: usize,
-    /// What came in place of the first answer.
+    /// Bytes that came in place of the first answer.
     strange: Vec<u8>,
     number: u32,
     id: Option<String>,

@@ -1,8 +1,8 @@
-//! What is known of a video stream, and how it is described.
+//! Properties of a video stream, and their description.
 
 use std::time::{Duration, Instant};
 
-/// What is known of a stream.
+/// Properties of a stream, as far as they are known.
 #[derive(Clone, Debug, Default)]
 pub struct Stream {
     /// Its codec and profile.
@@ -11,7 +11,7 @@ pub struct Stream {
     pub size: Option<(u32, u32)>,
     /// How the camera asks for a login.
     pub login: &'static str,
-    /// Whole pictures, and those of them that stand by themselves.
+    /// Whole pictures, and the key pictures among them.
     pub pictures: u64,
     /// See [`Self::pictures`].
     pub keys: u64,
@@ -34,7 +34,7 @@ impl Stream {
         (seconds >= 1.0 && self.pictures > 1).then(|| self.pictures as f64 / seconds)
     }
 
-    /// What it is, and what to set where it does not fit the interval.
+    /// The stream in words, and what to set where it does not fit the interval.
     pub fn describe(&self, interval: Option<Duration>) -> String {
         let mut text = self.codec.clone();
         if let Some((width, height)) = self.size {

@@ -14,7 +14,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// Rows up to which pictures that do not say it are in the colours of standard definition.
 const STANDARD_ROWS: u32 = 576;
 
-/// What a stream's sequence set says about it.
+/// Properties of a stream, from its sequence parameter set.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Description {
     /// Columns and rows, px.

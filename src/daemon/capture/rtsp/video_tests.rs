@@ -4,7 +4,7 @@ use super::super::rtp::Packet;
 use super::*;
 use sha2::{Digest, Sha256};
 
-/// The pictures of a recorded stream, with whether each stands by itself.
+/// The pictures of a recorded stream, with whether each is a key picture.
 fn pictures(name: &str) -> Vec<(bool, Vec<u8>)> {
     let stream = std::fs::read(format!("tests/data/video/{name}.h264")).expect("it ships");
     let mut starts: Vec<_> =
@@ -43,7 +43,7 @@ fn digest(frame: &Frame) -> String {
     digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// What ffmpeg 9.0 decodes of the same streams: SHA-256 of the planes of each picture.
+/// The same streams decoded by ffmpeg 9.0: SHA-256 of the planes of each picture.
 const STREAMS: [(&str, [&str; 4]); 5] = [
     ("baseline", ["79ec22b19ca0095f", "f874ea312b5cd363", "e490ccb56fc6aa3c", "68ae1a5f874d6c2a"]),
     ("main", ["f543085d7974af23", "ccb99098127f7af8", "b8012b4b63e40bc7", "24ba6c262b7f6ff9"]),

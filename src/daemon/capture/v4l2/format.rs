@@ -34,7 +34,7 @@ impl Given {
     }
 }
 
-/// What the camera offers of what is read here.
+/// The camera's formats, as far as they can be read here.
 pub(super) fn offers(
     device: &Device,
     settings: &DeviceSettings,

@@ -61,7 +61,7 @@ impl V4l2 {
         }
     }
 
-    /// What became of the stream's frames since start.
+    /// Counts of the stream's frames since start.
     pub fn counts(&self) -> StreamCounts {
         self.counts
     }

@@ -1,4 +1,4 @@
-//! What `verge check` tries of the box: the user that the unit runs as, the spool's folder, and
+//! Checks of the box by `verge check`: the user that the unit runs as, the spool's folder, and
 //! the metrics file.
 //!
 //! Owns that nothing of it is left behind: a folder that root had made would be closed to the

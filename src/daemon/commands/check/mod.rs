@@ -179,7 +179,7 @@ fn draw(station: &Station, withheld: &str, file: &Path) -> Result<String, Failur
     Ok(format!("{}: lanes, boxes, contact points and counts", file.display()))
 }
 
-/// What the running line would make of it.
+/// The failure for a picture that the running line would withhold.
 pub(super) fn withheld(alarm: Alarm, line: &Line) -> Failure {
     let hint = match alarm {
         Alarm::CameraMoved => {

@@ -1,4 +1,4 @@
-//! What a broker does not take, for a while: messages that are set aside so that others pass.
+//! Messages that a broker refuses, set aside for a while so that others pass.
 //!
 //! Owns which topic, from which size on, and until when. A broker may say that it refuses a
 //! message, throw it away, close the connection on it, or close it on its size; the last two it
@@ -58,7 +58,7 @@ impl Bans {
         }
     }
 
-    /// A session begins: what was refused in words has a new try.
+    /// A session begins: messages that were refused with a reason have a new try.
     pub(super) fn begin(&mut self) {
         self.bans.retain(|_, ban| ban.closes);
     }

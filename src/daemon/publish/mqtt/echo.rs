@@ -7,7 +7,7 @@
 use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
-/// How long what was acknowledged may take to come back.
+/// How long an acknowledged message may take to come back.
 pub(super) const PATIENCE: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,7 +25,7 @@ struct Unproven {
     until: Instant,
 }
 
-/// What follows for windows that were acknowledged.
+/// Verdict on acknowledged windows.
 #[derive(Debug, PartialEq)]
 pub(super) enum Verdict {
     /// These have arrived at the broker.
@@ -108,7 +108,7 @@ impl Echo {
         false
     }
 
-    /// What follows when nothing has come back for so long.
+    /// The verdict when nothing has come back in time.
     pub(super) fn tick(&mut self, now: Instant) -> Option<Verdict> {
         match self.reading {
             Reading::Unknown { until } if now >= until => return Some(self.give_up()),

@@ -143,7 +143,7 @@ impl Link {
         }
     }
 
-    /// What the broker says next, within `patience`; `None` where it says nothing.
+    /// The broker's next packet, within `patience`; `None` where none comes.
     pub(super) fn next(&mut self, patience: Duration) -> Result<Option<Incoming>, End> {
         self.ping()?;
         if let Some(incoming) = self.take()? {

@@ -103,7 +103,7 @@ impl MqttSettings {
     }
 }
 
-/// What a broker's no means, and what to do.
+/// The meaning of a broker's refusal, and what to do.
 fn said_of(denial: &Denial, settings: &MqttSettings, spoken: Spoken) -> String {
     match denial {
         Denial::Version => {
@@ -148,7 +148,7 @@ pub(super) struct Message {
     pub(super) retain: bool,
 }
 
-/// What has become of the messages, readable from other threads.
+/// Counts of the messages by outcome, readable from other threads.
 #[derive(Debug, Default)]
 pub struct Statistics {
     /// Taken over by the broker.
@@ -170,7 +170,7 @@ fn now_ms() -> u64 {
     u64::try_from(clock::monotonic().as_millis()).unwrap_or(u64::MAX)
 }
 
-/// What the handle asks for.
+/// A request of the handle.
 enum Command {
     State(Message),
     Window { session: u64, key: u64, live: bool, message: Message },
@@ -178,7 +178,7 @@ enum Command {
     Stop { within: Duration },
 }
 
-/// What the connection's thread has to say, in its order.
+/// A report of the connection's thread, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Report {
     /// A session is open.

@@ -1,4 +1,4 @@
-//! What waits to be sent in a session, and what is on its way.
+//! Messages that wait to be sent in a session, and those in flight.
 //!
 //! Owns the order: presence, live windows, states, windows of an outage. No window waits behind
 //! discovery or alarms: states have places of their own, and no more, and where they may end the
@@ -15,7 +15,7 @@ const STATES_IN_FLIGHT: usize = 4;
 /// Most states that wait: health and alarms are a dozen topics, discovery up to fifty.
 const MAX_STATES: usize = 128;
 
-/// What a message is, which decides what becomes of it when the session ends.
+/// Kind of a message: it decides the message's fate when the session ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// Published again by each session.
@@ -26,7 +26,7 @@ pub(super) enum Kind {
     Window { key: u64 },
 }
 
-/// Which turn states have.
+/// Whose turn it is among states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum States {
     /// Before the windows of an outage, of which there may be thousands.

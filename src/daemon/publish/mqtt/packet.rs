@@ -24,7 +24,7 @@ pub(super) enum Spoken {
     V5,
 }
 
-/// What a broker allows in this session.
+/// Limits of a broker in this session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Limits {
     /// Largest packet that it takes, bytes.
@@ -58,7 +58,7 @@ pub(super) enum Denial {
     Other(String),
 }
 
-/// What became of a message.
+/// The outcome of a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Acknowledged {
     Taken,
@@ -67,7 +67,7 @@ pub(super) enum Acknowledged {
     Refused(String),
 }
 
-/// What a broker says.
+/// A packet from the broker.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Incoming {
     Accepted(Limits),
@@ -90,7 +90,7 @@ pub(super) enum Incoming {
 /// Takes the next packet from `bytes`; `None` while it is not whole.
 ///
 /// # Errors
-/// What came is not a packet, or longer than any that we asked for.
+/// Bytes that are not a packet, or a packet longer than any we asked for.
 pub(super) fn read(spoken: Spoken, bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
     let read = || match spoken {
         Spoken::V3 => read_3(bytes),
@@ -207,11 +207,11 @@ fn read_5(bytes: &mut BytesMut) -> Result<Option<Incoming>, String> {
     }))
 }
 
-/// What a second client of the same id does to us.
+/// A second client has our id.
 pub(super) const TAKEN_OVER: &str = "another client came with our client id: two boxes of one \
     site, or of one mqtt.client_id? Give each its own";
 
-/// What a broker is that takes messages of QoS 0 alone.
+/// The broker takes messages of QoS 0 alone.
 const NO_ACKNOWLEDGEMENTS: &str = "it takes no QoS 1, and without acknowledgements nobody knows whether \
     a window has arrived: allow QoS 1 there (mosquitto: max_qos 1)";
 
@@ -269,7 +269,7 @@ fn answer_5(ack: &v5::ConnAck) -> Incoming {
     }
 }
 
-/// What is meant, and what the broker said of it.
+/// The meaning, and the broker's own words.
 fn with(meant: &str, said: Option<String>) -> String {
     said.map_or_else(|| meant.to_owned(), |said| format!("{meant} (\"{}\")", shown(&said)))
 }

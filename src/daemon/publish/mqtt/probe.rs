@@ -1,4 +1,4 @@
-//! What `verge check` tries at a broker: a session with its will, a retained message, and each
+//! Tries of `verge check` at a broker: a session with its will, a retained message, and each
 //! density topic, as the running sensor uses them.
 //!
 //! Owns what is published for it: an empty message on each density topic, which readers pass
@@ -83,7 +83,7 @@ struct Trial<'a> {
     spoken: Spoken,
     link: Link,
     limits: Limits,
-    /// What came back, not asked for yet.
+    /// Messages that came back and were not asked for yet.
     came: Vec<(String, Vec<u8>)>,
 }
 
@@ -215,7 +215,7 @@ impl Trial<'_> {
         if !self.subscribe(&topic)? {
             return Ok(false);
         }
-        // What is retained comes with the subscription.
+        // Retained messages come with the subscription.
         let before = self.wait_for(&topic, Duration::from_millis(300))?;
         let shutdown = Presence::Shutdown.text().as_bytes().to_vec();
         let payload = before.clone().unwrap_or(shutdown);

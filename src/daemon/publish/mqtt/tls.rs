@@ -22,21 +22,21 @@ pub enum TlsError {
     /// A file that cannot be read as PEM.
     #[error("{key} {}: {reason}; it must be a PEM file with {expected}", path.display())]
     Read {
-        /// Which key of the configuration names it.
+        /// The key of the configuration that names it.
         key: &'static str,
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         reason: String,
-        /// What should be in it.
+        /// The expected content.
         expected: &'static str,
     },
     /// Certificates that do not fit.
     #[error("mqtt.{key}: {reason}")]
     Unfit {
-        /// Which key of the configuration names them.
+        /// The key of the configuration that names them.
         key: &'static str,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
 }
@@ -137,7 +137,7 @@ impl Tls {
     }
 }
 
-/// What a fault of TLS means, and what to do.
+/// The meaning of a TLS fault, and what to do.
 pub(super) fn end(error: &Error) -> LinkEnd {
     LinkEnd::Unsafe(match error {
         // The words of `trust`.
@@ -168,7 +168,7 @@ pub(super) fn end(error: &Error) -> LinkEnd {
     })
 }
 
-/// What the files hold. They can be read: they were, a moment ago.
+/// Digest of the files' content. They can be read: they were, a moment ago.
 fn digest(files: &TlsFiles) -> [u8; 32] {
     let (certificate, key) = files.identity.as_ref().map(|(c, k)| (c, k)).unzip();
     let mut digest = Sha256::new();

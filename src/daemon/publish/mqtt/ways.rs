@@ -57,7 +57,7 @@ impl Ways {
         };
         let order = match denial {
             Denial::Version => {
-                // What it does not speak is not tried again, unless it was replaced.
+                // A version that it does not speak is tried again only if the broker was replaced.
                 let other = |way: Way| way.0 != spoken;
                 let left = rest(&self.order, &other);
                 if left.is_empty() { rest(&self.all, &other) } else { left }

@@ -56,9 +56,9 @@ pub(super) struct Worker {
     /// A broker that closes on subscriptions is asked for none.
     echoes: bool,
     early_ends: u32,
-    /// What was logged once: topics without a subscriber, sizes, and the like.
+    /// Facts that were logged once: topics without a subscriber, sizes, and the like.
     said: BTreeSet<String>,
-    /// What to connect with next, when this connection is done or at that time.
+    /// Settings for the next connection, when this one is done or at that time.
     change: Option<(Box<MqttSettings>, Instant)>,
     stop_at: Option<Instant>,
 }

@@ -1,4 +1,4 @@
-// What the sensor sees now: the picture, its lanes and vehicles, counts, and how it is.
+// The sensor's view now: the picture, its lanes and vehicles, counts, and health.
 
 import { byId, el, fill } from "./elements.js";
 import { laneColour, vehicleBox } from "./paint.js";

@@ -1,4 +1,4 @@
-//! Which way up a picture is, in EXIF data.
+//! Orientation of a picture, from EXIF data.
 
 /// The orientation that an APP1 segment states (Exif 2.32, section 4.6.4, tag 0x0112).
 pub(super) fn orientation(app1: &[u8]) -> Option<u8> {

@@ -8,7 +8,7 @@ pub struct EndFinder {
     coded: bool,
 }
 
-/// What is known of a picture's end.
+/// How much of a picture's end has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// It ends behind this byte.

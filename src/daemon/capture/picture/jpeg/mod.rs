@@ -22,7 +22,7 @@ use walk::Walk;
 /// Most scans of one picture: encoders write about ten.
 const MAX_SCANS: usize = 100;
 
-/// What precedes the coded data.
+/// The segments before the coded data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Header {
     /// Columns, px.
@@ -34,7 +34,7 @@ pub struct Header {
     pub coefficients: u64,
     /// Whether the decoder has to keep them.
     pub keeps_coefficients: bool,
-    /// Which way up, as EXIF numbers it: 1 to 8.
+    /// Orientation, as EXIF numbers it: 1 to 8.
     pub orientation: u8,
     /// Where Huffman tables are missing: in front of this byte.
     pub tables_missing_at: Option<usize>,

@@ -68,7 +68,7 @@ fn a_hole_in_the_coded_data_is_noticed() {
         bytes.drain(at..at + hole);
         passed += usize::from(decode(&bytes, &mut Picture::default()).is_ok());
     }
-    // What is left decodes to exactly as many blocks, by chance.
+    // Their remaining data decodes to exactly as many blocks, by chance.
     assert!(passed <= 5, "{passed} of 500 pictures with a hole pass");
 }
 

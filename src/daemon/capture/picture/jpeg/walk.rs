@@ -19,7 +19,7 @@ pub(super) struct Walk<'a> {
     pub frame: Option<Frame>,
     pub dc: [Option<Huffman>; 4],
     pub ac: [Option<Huffman>; 4],
-    /// What each coefficient is multiplied by, in the order in which they come.
+    /// Factors of the coefficients, in the order of the stream.
     quantisers: [Option<[u16; 64]>; 4],
     restart_interval: usize,
 }

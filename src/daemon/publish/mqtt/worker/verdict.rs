@@ -1,4 +1,4 @@
-//! What follows from what a broker does: for a message, for its topic, and for the sessions to
+//! Consequences of a broker's behaviour: for a message, for its topic, and for the sessions to
 //! come.
 //!
 //! Owns the rule that nothing a broker does loses a window: it has arrived, or it is put off and
@@ -135,7 +135,7 @@ impl Worker {
         }
     }
 
-    /// What an end of a session says of those to come; returns the reason for people.
+    /// Draws the consequences of a session's end for later ones; returns the reason for people.
     pub(super) fn judge(&mut self, session: &Session, end: &End) -> String {
         let mut reason = end.reason();
         let is_early = session.since.elapsed() < QUIET;

@@ -7,7 +7,7 @@
 use crate::Status;
 use serde::{Deserialize, Serialize};
 
-/// What is wrong at the box or with its pictures.
+/// A fault of the box or of its pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(inline))]
 #[serde(rename_all = "snake_case")]

@@ -17,7 +17,7 @@ pub struct AlarmMessage {
     pub site: String,
     /// Since when.
     pub time: Utc,
-    /// Which.
+    /// The alarm.
     pub name: Alarm,
     /// Raised, or over.
     pub active: bool,

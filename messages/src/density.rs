@@ -70,7 +70,7 @@ pub struct Density {
     pub lanes: Vec<Lane>,
     /// Where the metres come from.
     pub calibration: Calibration,
-    /// What found the vehicles.
+    /// The model that found the vehicles.
     pub model: Model,
     /// In replayed windows alone: whether this is the last of its length that was waiting.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -85,7 +85,7 @@ pub struct Lane {
     /// Its number in the lane file.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = MOST_LANES)))]
     pub lane: u8,
-    /// What people call it; absent where the configuration does not say.
+    /// Name for people; absent where the configuration gives none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(
         feature = "schema",
@@ -97,7 +97,7 @@ pub struct Lane {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "u8", range(min = 1, max = 16)))]
     pub lane_order: Option<u8>,
-    /// Which way its traffic moves, as the camera sees it.
+    /// Direction of its traffic, as the camera sees it.
     pub direction: Direction,
     /// veh/km in this lane
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = MOST_VEH_KM)))]
@@ -161,7 +161,7 @@ pub struct Lane {
     pub traffic: Option<Traffic>,
 }
 
-/// Which way a lane's traffic moves, as the camera sees it.
+/// Direction of a lane's traffic, as the camera sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(inline))]
 #[serde(rename_all = "lowercase")]
@@ -267,7 +267,7 @@ pub struct Calibration {
     pub rel_err: Option<f32>,
 }
 
-/// What found the vehicles.
+/// The model that found the vehicles.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "model"))]
 pub struct Model {

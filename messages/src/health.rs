@@ -48,12 +48,12 @@ pub struct Health {
     /// Where the camera looks; null where pictures are not judged.
     #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.1")))]
     pub camera: Option<Camera>,
-    /// What became of the pictures since start.
+    /// Counts of the pictures since start, by outcome.
     pub frames: Frames,
-    /// What became of the frames of the camera's stream since start, beside those that are
-    /// pictures; all 0 where the camera gives no stream.
+    /// Counts of the frames of the camera's stream since start, beside those that are pictures;
+    /// all 0 where the camera gives no stream.
     pub stream: Stream,
-    /// What became of the messages since start.
+    /// Counts of the messages since start, by outcome.
     pub messages: Messages,
     /// How vehicles are followed; null where they are not.
     #[cfg_attr(feature = "schema", schemars(extend("x-since" = "0.2")))]
@@ -182,7 +182,7 @@ impl Camera {
     }
 }
 
-/// What became of the pictures since start.
+/// Counts of the pictures since start, by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "frames"))]
 pub struct Frames {
@@ -239,7 +239,7 @@ pub enum Aim {
     Unchecked,
 }
 
-/// What light the camera has.
+/// Light at the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(inline))]
 #[serde(rename_all = "lowercase")]
@@ -264,7 +264,7 @@ pub struct Following {
     pub density_difference_veh_km: Option<f32>,
 }
 
-/// What became of a stream's frames since start.
+/// Counts of a stream's frames since start, by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "stream"))]
 pub struct Stream {
@@ -279,7 +279,7 @@ pub struct Stream {
     pub reopened: u64,
 }
 
-/// What became of the messages since start.
+/// Counts of the messages since start, by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "messages"))]
 pub struct Messages {

@@ -1,4 +1,4 @@
-//! What leaves the box: topics, messages, statuses and alarms, and the formats of `convert`.
+//! All that leaves the box: topics, messages, statuses, alarms, and the formats of `convert`.
 //!
 //! Owns the JSON of every message, in both directions: the daemon writes by these types, the
 //! centre and `verge convert` read by them and by one [check](Density::check). The schemas in

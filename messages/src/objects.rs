@@ -34,7 +34,7 @@ pub struct Found {
 #[derive(Debug)]
 pub struct Objects<R> {
     input: R,
-    /// What was read and not yet given out.
+    /// Bytes read and not yet handed out.
     bytes: Vec<u8>,
     /// Up to where it was given out.
     at: usize,
@@ -43,7 +43,7 @@ pub struct Objects<R> {
     others: usize,
 }
 
-/// What is in an object.
+/// Content of an object.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Inside {
     /// Messages, or the object as it is where none is found: its reader says what is wrong.
@@ -52,7 +52,7 @@ pub enum Inside {
     Other,
 }
 
-/// What stands at the beginning of some bytes.
+/// The piece at the beginning of some bytes.
 enum Piece {
     /// An object of so many bytes.
     Object(usize),
@@ -176,7 +176,7 @@ impl<R: BufRead> Objects<R> {
         }
     }
 
-    /// What begins at the brace.
+    /// The piece that begins at the brace.
     fn piece(&self) -> Piece {
         let (mut depth, mut in_text, mut is_escaped) = (0usize, false, false);
         for (index, &byte) in self.bytes[self.at..].iter().enumerate() {

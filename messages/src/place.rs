@@ -17,7 +17,7 @@ const MOST_ORDER: u8 = 16;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "place"))]
 #[serde(default)]
 pub struct Place {
-    /// What people call the site.
+    /// Name of the site, for people.
     #[cfg_attr(feature = "schema", schemars(length(max = LONGEST_PLACE)))]
     pub name: Option<String>,
     /// The road.
@@ -37,12 +37,12 @@ pub struct Place {
     pub bearing: Option<f64>,
 }
 
-/// What a road authority calls a lane.
+/// A road authority's names for a lane.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LaneName {
     /// Its number in the lane table.
     pub lane: u8,
-    /// What people call it.
+    /// Name for people.
     pub name: Option<String>,
     /// Its number on the carriageway as the country counts.
     pub order: Option<u8>,

@@ -17,7 +17,7 @@ pub enum ReadError {
     Other {
         /// `health` or `alarm`.
         kind: &'static str,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
     /// A schema that this program does not read.

@@ -1,4 +1,4 @@
-//! Topics: what stands where under a site's root.
+//! The topics under a site's root.
 
 use crate::Alarm;
 use std::fmt;
@@ -61,7 +61,7 @@ impl Topic {
     }
 }
 
-/// What a message is about.
+/// Kind of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A window, live or replayed.

@@ -1,12 +1,12 @@
-//! What a message has that no message has.
+//! Faults of a message that no right one has.
 
 /// A field with a value that cannot be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {reason}")]
 pub struct Wrong {
-    /// Which, as a path: `lanes[0].density_veh_km`.
+    /// Its path: `lanes[0].density_veh_km`.
     pub field: String,
-    /// What is wrong with it, and what would be right.
+    /// The fault, and what would be right.
     pub reason: String,
 }
 

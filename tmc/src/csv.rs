@@ -158,7 +158,7 @@ impl Row<'_> {
         if self.text(column).is_empty() { Ok(None) } else { self.quantity(column).map(Some) }
     }
 
-    /// What is wrong with a field.
+    /// The failure for a wrong field.
     pub fn wrong(&self, column: &Column, what: &str) -> Failure {
         let reason = format!("column {}: {:?} {what}", column.name, self.text(column));
         Failure::content(self.path, self.line, reason)

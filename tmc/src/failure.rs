@@ -14,7 +14,7 @@ pub enum Failure {
     Broker {
         /// Host and port.
         address: String,
-        /// What happened.
+        /// The reason.
         reason: String,
     },
     /// A cluster that cannot be reached, or that failed.
@@ -25,7 +25,7 @@ pub enum Failure {
     Cluster {
         /// Host and port of its scheduler.
         address: String,
-        /// What happened.
+        /// The reason.
         reason: String,
     },
 }

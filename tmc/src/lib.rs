@@ -1,4 +1,4 @@
-//! The centre: what a traffic management centre makes of the sensors' densities.
+//! The centre's archive, pages and diagrams of the sensors' densities.
 //!
 //! Each command is a module with its arguments and a `run`; `main.rs` names them all.
 //! `chart` draws, `csv` and `gzip` read, `failure` holds what fails here alone.

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use verge_tmc::failure::Failure;
 use verge_tmc::{archive, exporter, fit, points, report, score, serve};
 
-/// What a traffic management centre makes of the sensors' densities.
+/// Archive, evaluate and show the sensors' densities, at a traffic management centre.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {

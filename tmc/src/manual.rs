@@ -1,4 +1,4 @@
-//! What the manual says of `verge-tmc` beyond its command line: files, exit codes, examples.
+//! Manual pages of `verge-tmc`: files, exit codes and examples, which clap does not know.
 
 use clap::Command;
 use std::path::Path;

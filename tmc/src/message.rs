@@ -51,7 +51,7 @@ impl Message {
 /// Reads a message of that kind and checks it.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The fault of the message.
 pub fn read_kind(kind: Kind, bytes: &[u8]) -> Result<Message, String> {
     let message = match kind {
         Kind::Density => return read(bytes).map(|message| Message::Density(Box::new(message))),
@@ -66,9 +66,9 @@ pub fn read_kind(kind: Kind, bytes: &[u8]) -> Result<Message, String> {
 /// Reads a message whose kind nobody tells: one of the journal.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The fault of the message.
 pub fn read_any(bytes: &[u8]) -> Result<Message, String> {
-    /// What tells the kinds apart; any of it may be absent.
+    /// Fields that tell the kinds apart; any of them may be absent.
     #[derive(Deserialize)]
     struct Marks {
         lanes: Option<IgnoredAny>,
@@ -86,7 +86,7 @@ pub fn read_any(bytes: &[u8]) -> Result<Message, String> {
 /// Reads a message and checks it.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The fault of the message.
 pub fn read(bytes: &[u8]) -> Result<Density, String> {
     // The compact form begins with its version.
     let message = if matches!(bytes, [1..=wire::VERSION, ..]) {

@@ -10,7 +10,7 @@ fn sources(folder: &Path, found: &mut Vec<(String, String)>) {
             sources(&path, found);
         } else {
             let text = std::fs::read_to_string(&path).expect("a source file");
-            // What tests use is no part of the product.
+            // Code that only tests use is not part of the product.
             let product = text.split("#[cfg(test)]").next().unwrap_or_default().to_owned();
             found.push((path.to_string_lossy().into_owned(), product));
         }

@@ -199,7 +199,7 @@ fn trouble_comes_first_with_its_reason_and_since_when() {
     let averages = html.find("<h2>Averages</h2>").expect("the averages");
     assert!(order.iter().all(|at| *at > all_sites), "{order:?}");
     let _ = averages;
-    // The bridge has twice its usual density, and its name is no tag.
+    // The bridge has twice its usual density, and its name is not taken for a tag.
     assert!(html.contains("denser <span class=\"muted\">(+"));
     assert!(html.contains("Ting Kau &lt;Bridge&gt;") && !html.contains("<Bridge>"));
     assert!(html.contains("<svg class=\"map\"") && html.contains("aria-label=\"Map of 5 sites\""));

@@ -17,7 +17,7 @@ fn read(path: &Path) -> String {
 #[test]
 fn tables_pages_and_pictures_tell_what_the_archive_holds() {
     let folder = tempfile::tempdir().expect("a folder");
-    // A folder's name is no pattern.
+    // A folder's name is not taken for a pattern.
     let (archive, out) = (folder.path().join("archive [1] *?"), folder.path().join("report"));
     day("north", MONDAY, &archive);
     day("north", MONDAY + 2, &archive);

@@ -37,7 +37,7 @@ xsi:type=\"roa:MeasurementSiteTablePublication\" lang=\"en\" modelBaseVersion=\"
 /// The site of a message, or what its message lacks: the schema asks for a location.
 ///
 /// # Errors
-/// What to do where the message has no position.
+/// Advice, where the message has no position.
 pub fn site(message: &Density) -> Result<String, String> {
     let no_position = || {
         let site = &message.site;

@@ -58,7 +58,7 @@ impl Format {
     }
 }
 
-/// What a format asks for that no message holds.
+/// Facts that a format asks for and no message holds.
 #[derive(Clone, Debug, Default)]
 pub struct Publisher {
     /// FIWARE `refRoadSegment`, an URN or address of the road segment.
@@ -80,7 +80,7 @@ impl Exporter {
         Self { format, publisher }
     }
 
-    /// What stands before the first message, made at `time`.
+    /// Text before the first message, written at `time`.
     pub fn begin(&self, time: Utc) -> Option<String> {
         match self.format {
             Format::Datex2 => Some(datex2::begin(time, self.publisher.country.as_deref())),
@@ -100,7 +100,7 @@ impl Exporter {
     /// One message, without the end of its last line.
     ///
     /// # Errors
-    /// What the format asks for and the message lacks.
+    /// The part that the format asks for and the message lacks.
     pub fn message(&self, message: &Density) -> Result<String, String> {
         Ok(match self.format {
             Format::Fiware => fiware::entities(message, self.publisher.road_segment.as_deref()),
@@ -113,7 +113,7 @@ impl Exporter {
         })
     }
 
-    /// What stands behind the last message.
+    /// Text behind the last message.
     pub fn end(&self) -> Option<String> {
         match self.format {
             Format::Datex2 => Some(datex2::END.to_owned()),

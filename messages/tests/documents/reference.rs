@@ -86,7 +86,7 @@ fn fields(text: &mut String, root: &Value, object: &Value, path: &str) {
     }
 }
 
-/// What a schema stands for: behind a reference, or the one of two that is not null.
+/// Resolves a schema: behind a reference, or the one of two that is not null.
 fn resolve<'s>(root: &'s Value, schema: &'s Value) -> &'s Value {
     if let Some(name) = schema["$ref"].as_str().and_then(|to| to.strip_prefix("#/$defs/")) {
         return &root["$defs"][name];

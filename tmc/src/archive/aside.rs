@@ -1,4 +1,4 @@
-//! What is refused: kept aside in `_rejected`, as much of it as is of use, and told.
+//! Refused messages: kept aside in `_rejected`, as much of each as is of use, and logged.
 //!
 //! Owns the files there: some messages of each site with their reasons, cut, so that no site
 //! fills the disk with what it may not send; damaged parts of the journal, whole.
@@ -18,7 +18,7 @@ const MOST_BYTES: u64 = 256 << 20;
 /// Longest reason that is logged, characters: a part of it is the sender's.
 const LONGEST_REASON: usize = 300;
 
-/// What was refused of a site since it was last logged.
+/// Refusals of a site since the last log line.
 #[derive(Debug, Default)]
 struct Refused {
     count: u64,
@@ -149,7 +149,7 @@ pub(super) fn shown(text: &str) -> String {
     if shown.len() < text.len() && text.chars().count() > LONGEST_REASON {
         shown.push_str("...");
     }
-    // What `escape_debug` does for literals: quotes are harmless here.
+    // As `escape_debug` does for literals: quotes are harmless here.
     shown.replace("\\\"", "\"").replace("\\'", "'")
 }
 

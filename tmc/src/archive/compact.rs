@@ -25,7 +25,7 @@ const WRITERS: usize = 4;
 /// Rows that are merged together: some 60 MB in memory.
 const AT_ONCE_ROWS: usize = 300_000;
 
-/// What a compaction did.
+/// Result of a compaction.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Done {
     /// Windows added to the archive.
@@ -36,7 +36,7 @@ pub struct Done {
     pub rejected: usize,
     /// Gaps in the numbers of messages that remain in the days that were touched.
     pub gaps: Vec<Gap>,
-    /// What is to be logged of it.
+    /// Lines for the log.
     pub told: Vec<String>,
     /// The days that were touched.
     days: Vec<Partition>,
@@ -63,7 +63,7 @@ impl Done {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Place {
     segment: usize,
-    /// Which of its records.
+    /// Its index in the segment.
     record: usize,
 }
 
@@ -71,7 +71,7 @@ struct Place {
 #[derive(Debug, Default)]
 struct Batch {
     days: BTreeMap<Partition, Vec<Window>>,
-    /// What the messages say beside densities, and which they are.
+    /// Events in the messages beside densities, and the records they are from.
     events: Events,
     event_places: Vec<Place>,
     places: Vec<Place>,

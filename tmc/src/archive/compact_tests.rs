@@ -46,7 +46,7 @@ fn each_window_stands_once_and_gaps_close_when_they_are_filled() {
 fn a_gap_over_midnight_is_found_whichever_day_comes_first() {
     let at = |seq, time: &str| message("a", seq, &format!("2026-01-{time}:00.000Z"));
     let (evening, later) = (at(7, "05T23:58"), at(8, "05T23:59"));
-    // A day without a file lies between; 900 s is no neighbour of 60 s.
+    // A day without a file lies between; windows of 900 s and of 60 s are not neighbours.
     let (morning, other) = (at(11, "07T00:00"), at(40, "07T00:00").replace(":60,", ":900,"));
     let other = other.replace("07T00:01:00.000Z", "07T00:15:00.000Z");
     let second = at(12, "07T00:01");

@@ -32,7 +32,7 @@ const LATER_BYTES: u64 = 128 << 20;
 /// Most sites that are kept apart; with more of them those that sent least lately are forgotten.
 const MOST_SITES: usize = 50_000;
 
-/// What becomes of a message.
+/// Verdict on a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// It is archived with the next compaction.
@@ -45,7 +45,7 @@ pub(super) enum Verdict {
     Empty,
 }
 
-/// What a site has sent.
+/// Allowance of a site, and its use.
 #[derive(Clone, Copy, Debug)]
 struct Account {
     /// Rows that it may still send at once.
@@ -110,7 +110,7 @@ impl Door {
         }
         let message = self.examine((site, kind), payload, now)?;
         if kind != Kind::Density && message.span().0.0 < now.0.saturating_sub(ms(self.oldest)) {
-            // What the broker keeps of a site is sent at each connection, however old it is.
+            // The broker resends a site's retained messages at each connection, however old.
             return Ok(Verdict::Empty);
         }
         let rows = (message.rows() as f64).max(reading);
@@ -153,7 +153,7 @@ impl Door {
         Ok(message)
     }
 
-    /// What a site has, with what it earned since the last time.
+    /// The account of a site, with its allowance since the last time.
     fn account(&mut self, site: &str, instant: Instant) -> &mut Account {
         if self.accounts.len() >= MOST_SITES && !self.accounts.contains_key(site) {
             // A site that has its burst back and nothing waiting is as good as a new one.
@@ -294,7 +294,7 @@ mod tests {
         for _ in 0..soon - 2 {
             assert_eq!(scene.judge("evil", &evil, Duration::ZERO), Verdict::Soon);
         }
-        // What has few rows for its size counts by its size.
+        // A large message with few rows counts by its size.
         assert_eq!(scene.judge("evil", &padded, Duration::ZERO), Verdict::Soon);
         assert_eq!(scene.judge("evil", &evil, Duration::ZERO), Verdict::Later);
         let honest = message("honest", 1, "2026-01-05T08:00:00.000Z");

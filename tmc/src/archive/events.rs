@@ -21,7 +21,7 @@ const EACH_MS: i64 = 15 * 60_000;
 /// Most alarms, and most states, of a site in a day: one a minute with each that there is.
 const MOST_A_DAY: usize = 2000;
 
-/// What a batch of messages says beside densities.
+/// Events in a batch of messages, beside densities.
 #[derive(Debug, Default)]
 pub(super) struct Events {
     alarms: BTreeMap<i64, Vec<AlarmRow>>,
@@ -74,7 +74,7 @@ impl Events {
         self.alarms.is_empty() && self.health.is_empty() && self.places.is_empty()
     }
 
-    /// Brings them into the tables under `root`; what is to be said of it.
+    /// Writes them into the tables under `root`; returns lines for the log.
     ///
     /// # Errors
     /// [`Failure`] where a table cannot be written; it is then as it was.

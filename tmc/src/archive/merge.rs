@@ -1,7 +1,7 @@
 //! One partition: a site's day takes the windows that it lacks.
 //!
-//! Owns what "the same window" means, and the merge: the old file is read twice and written
-//! anew, some rows at a time, so that memory does not grow with the day. The first window of a
+//! Owns what "the same window" means, and the merge: the old file is read twice and rewritten
+//! some rows at a time, so that memory does not grow with the day. The first window of a
 //! beginning and length counts. The same again is a duplicate; another one is a conflict, which
 //! is set aside and reported. An unreadable file is set aside, and its day starts over.
 
@@ -27,11 +27,11 @@ pub(super) struct Window {
     pub(super) key: Key,
     /// By their keys.
     pub(super) rows: Vec<Row>,
-    /// Which message it was.
+    /// Index of the message.
     pub(super) message: usize,
 }
 
-/// What became of a partition's windows.
+/// Result of merging a partition's windows.
 #[derive(Debug, Default)]
 pub(super) struct Merged {
     pub(super) windows: usize,

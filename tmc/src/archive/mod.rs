@@ -80,9 +80,9 @@ struct Archiver {
     name: String,
     door: Door,
     aside: Aside,
-    /// What is archived with the next compaction.
+    /// Messages for the next compaction.
     journal: Journal,
-    /// What is archived after it, a segment at a time.
+    /// Messages for later ones, a segment at a time.
     later: Journal,
     compactor: Compactor,
 }
@@ -127,7 +127,7 @@ impl Archiver {
             }
         }
         subscriber.leave();
-        // What had to wait for others has none to wait for.
+        // Messages that waited for others have none to wait for now.
         self.compact(false)?;
         self.compact(true)?;
         self.compactor.wait()?;
@@ -185,7 +185,7 @@ fn now() -> Utc {
     Utc(jiff::Timestamp::now().as_millisecond())
 }
 
-/// What this archiver asks the broker for.
+/// Settings of this archiver's session with the broker.
 fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
     let shared = if arguments.group.is_empty() {
         String::new()

@@ -129,7 +129,7 @@ async fn executor(
         vcores: cores,
         task_scheduling_policy: TaskSchedulingPolicy::PullStaged,
         work_dir: Some(work.to_string_lossy().into_owned()),
-        // What a report fetched is of no use an hour later.
+        // Data fetched for a report are of no use an hour later.
         job_data_ttl_seconds: 3600,
         job_data_clean_up_interval_seconds: 600,
         ..ExecutorProcessConfig::default()

@@ -17,7 +17,7 @@ pub struct Colour(pub u8, pub u8, pub u8, pub f32);
 pub const INK: Colour = Colour(40, 40, 40, 1.0);
 /// Grid lines.
 pub const PALE: Colour = Colour(222, 222, 222, 1.0);
-/// What is not known.
+/// Colour of unknown values.
 pub const UNKNOWN: Colour = Colour(236, 236, 236, 1.0);
 
 /// Where a text begins, lies or ends.
@@ -64,7 +64,7 @@ pub struct Drawing {
     pub width: u32,
     /// Height, px.
     pub height: u32,
-    /// What is drawn, the first below.
+    /// The shapes, the lowest first.
     pub shapes: Vec<Shape>,
 }
 

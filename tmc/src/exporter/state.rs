@@ -1,4 +1,4 @@
-//! What each site said last.
+//! The latest state of each site.
 //!
 //! Owns what is kept: the latest window of each length, the latest health, the alarms that are on,
 //! presence. Memory is bounded by [`MOST_SITES`].

@@ -1,4 +1,4 @@
-//! What sites said last in Prometheus' text format.
+//! The latest state of the sites in Prometheus' text format.
 //!
 //! Owns names and labels: those of the box's own file (docs/reference/formats.md), each with its site. A window
 //! that is older than three of its lengths and a quarter of an hour is left out, and so is what is
@@ -269,7 +269,7 @@ mod tests {
             ("verge/a/health", health("a", time, true).replace("days\":null", "days\":12")),
             ("verge/a/alarm/camera_moved", alarm("a", "camera_moved", true, time)),
             ("verge/a/presence", "online".into()),
-            // No site speaks for another, and what is no message is counted.
+            // No site speaks for another, and bytes that are not a message are counted.
             ("verge/b/density/60s", window),
             ("verge/b/health", "{}".into()),
         ]);

@@ -47,7 +47,7 @@ pub struct Estimate {
 /// A fitted fundamental diagram.
 #[derive(Clone, Debug)]
 pub struct Fit {
-    /// What was fitted.
+    /// The fitted model.
     pub model: Model,
     /// Whether robustly.
     pub robust: bool,
@@ -73,7 +73,7 @@ pub struct Fit {
     pub covariance: Option<Matrix>,
     /// Factor from a standard error to half an interval.
     pub t: f64,
-    /// What the data do not say.
+    /// Parameters that the data do not determine, in words.
     pub warnings: Vec<String>,
 }
 
@@ -99,7 +99,7 @@ fn quadratic(matrix: &Matrix, x: Parameters) -> f64 {
 /// Fits `model` to the points.
 ///
 /// # Errors
-/// What the points lack: their number, two densities, a speed that falls.
+/// The points are too few, have one density, or no speed that falls.
 pub fn fit(model: Model, points: &[Point], robust: bool) -> Result<Fit, String> {
     let count = model.count();
     let (name, needed) = (model.name(), count + 1);
@@ -150,7 +150,7 @@ fn best(model: Model, points: &[Point]) -> Result<Descent, String> {
         .ok_or_else(|| "no descent comes to an end; are the units km/h and veh/km?".to_owned())
 }
 
-/// What the covariance needs to know of the weights; by default of plain least squares.
+/// Weighting of the residuals, for the covariance; by default plain least squares.
 #[derive(Default)]
 struct Weights {
     /// Scale of the residuals, km/h, and the tuning of the bisquare.
@@ -286,7 +286,7 @@ fn aicc(n: f64, squares: f64, free: f64) -> f64 {
     n * (squares / n).max(f64::MIN_POSITIVE).ln() + 2.0 * free * n / left
 }
 
-/// What the data do not determine.
+/// Warnings of parameters that the data do not determine.
 fn warnings(fit: &Fit, densest: f64) -> Vec<String> {
     let mut said = Vec::new();
     let jam = fit.parameters[1].value;

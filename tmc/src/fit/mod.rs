@@ -32,7 +32,7 @@ pub const SPEED: &str = "speed_kmh";
 /// Arguments of `fit`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Which relation between density and speed; without it all of them, compared by AICc, and the
+    /// The relation between density and speed; without it all of them, compared by AICc, and the
     /// best in full.
     #[arg(long)]
     model: Option<Model>,

@@ -67,7 +67,7 @@ impl Units {
     }
 }
 
-/// What stands on a picture.
+/// Title, units and texts of a picture.
 #[derive(Clone, Debug, Default)]
 pub struct Look {
     /// Its title; the model's name without one.

@@ -87,7 +87,7 @@ impl Day {
     pub fn read(path: &Path) -> Result<Self, Failure> {
         let file = File::open(path).map_err(|source| Failure::reading(path, source))?;
         let read = || Self::of(file);
-        // What a damaged file makes the crate do: return an error, or panic.
+        // On a damaged file the crate returns an error, or panics.
         let panicked = |_| Err("its reader panicked".to_owned());
         catch_unwind(AssertUnwindSafe(read))
             .unwrap_or_else(panicked)

@@ -18,7 +18,7 @@ pub fn level(density_veh_km: f32) -> char {
     LETTERS[index]
 }
 
-/// What a level is like, for those who do not know the letters.
+/// A level in words, for those who do not know the letters.
 pub const fn words(level: char) -> &'static str {
     match level {
         'A' => "free",

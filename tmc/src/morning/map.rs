@@ -110,7 +110,7 @@ pub(super) fn map(sites: &[SiteNow], tiles: Option<&Tiles>) -> String {
         Some(tiles) => pictures(&view, tiles),
         None => graticule(&view),
     });
-    // What is drawn last lies on top: trouble.
+    // Trouble is drawn last and lies on top.
     for (site, _, point) in placed.iter().rev() {
         svg.push_str(&marker(site, view.at(*point)));
     }

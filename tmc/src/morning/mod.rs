@@ -27,7 +27,7 @@ use usual::{Band, Usual};
 
 /// Days back in which an alarm that is still on is looked for.
 const ALARM_DAYS: i64 = 92;
-/// What is called now: the last quarter of an hour that a site has sent.
+/// Extent of "now": the last quarter of an hour that a site has sent.
 const NOW_MS: i64 = 15 * 60_000;
 
 /// A lane now.
@@ -46,9 +46,9 @@ pub struct LaneNow {
 pub struct Point {
     /// Its beginning, ms since 1970.
     pub from_ms: i64,
-    /// What was measured.
+    /// The measurement.
     pub quarter: Quarter,
-    /// What is usual.
+    /// The usual densities.
     pub band: Option<Band>,
 }
 
@@ -59,7 +59,7 @@ pub struct SiteNow {
     pub site: String,
     /// Where it is.
     pub known: Known,
-    /// What is wrong, the oldest first.
+    /// Its troubles, the oldest first.
     pub trouble: Vec<Trouble>,
     /// The end of its latest window, ms since 1970.
     pub heard_ms: i64,
@@ -97,11 +97,11 @@ pub struct Morning {
     pub offset_ms: i64,
     /// Those with trouble first, the oldest trouble first; then the densest.
     pub sites: Vec<SiteNow>,
-    /// What could not be read.
+    /// Faults of files that could not be read.
     pub told: Vec<String>,
 }
 
-/// What a morning is made of.
+/// Settings of a morning page.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Only these sites; empty: all.

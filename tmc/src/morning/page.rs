@@ -73,7 +73,7 @@ fn against(point: Option<&Point>) -> String {
 }
 
 impl Morning {
-    /// What stands above everything: when, how many, how they are.
+    /// The head of the page: when, how many sites, their levels.
     fn head(&self) -> String {
         let troubled = self.sites.iter().filter(|site| !site.trouble.is_empty()).count();
         let jammed = self.count(|letter| letter == 'E' || letter == 'F');
@@ -300,7 +300,7 @@ impl Morning {
     }
 }
 
-/// What the letters mean.
+/// Legend of the letters.
 fn legend() -> String {
     let mut html = String::from("<ul class=\"legend\" aria-label=\"Levels of service\">\n");
     for (letter, range) in [

@@ -7,7 +7,7 @@ use std::fmt::Write;
 
 /// Width of a quarter of an hour, units of the drawing.
 const STEP: f64 = 3.0;
-/// The lowest top of the scale, veh/km/lane: an empty road is no zigzag.
+/// The lowest top of the scale, veh/km/lane: an empty road must not zigzag.
 const LEAST_TOP: f64 = 15.0;
 
 /// A small chart for a table.

@@ -1,4 +1,4 @@
-//! What is wrong with a site now, and since when: silent, an alarm, a lane without a measurement,
+//! Troubles of a site, and since when: silence, an alarm, a lane without a measurement,
 //! the clock, an error that is too wide.
 //!
 //! Owns the judgement of a site's latest windows and alarms; the clock is read by the command alone.
@@ -24,7 +24,7 @@ pub struct Trouble {
     /// Since when, ms since 1970; of what began before the days that are looked at, their first
     /// window.
     pub since_ms: i64,
-    /// What, in words.
+    /// The trouble in words.
     pub reason: String,
 }
 
@@ -49,8 +49,8 @@ pub fn active(
     on
 }
 
-/// What is wrong at `now_ms`, by a site's windows of `window_s` and the alarms that are on; the
-/// oldest trouble first.
+/// Troubles at `now_ms`, from a site's windows of `window_s` and the alarms that are on; the oldest
+/// first.
 pub fn judge(
     readings: &[Reading],
     window_s: i32,
@@ -69,7 +69,7 @@ pub fn judge(
     let window_ms = i64::from(window_s) * 1000;
     let end_ms = last_ms + window_ms;
     if now_ms - end_ms > PATIENCE_MS.max(MISSING_WINDOWS * window_ms) {
-        // What an alarm said before says nothing of now.
+        // An earlier alarm says nothing about now.
         return vec![Trouble { since_ms: end_ms, reason: "silent".into() }];
     }
     let mut lanes = BTreeMap::<i32, Vec<Reading>>::new();

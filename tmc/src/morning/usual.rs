@@ -1,4 +1,4 @@
-//! What is usual: the densities of the same quarter hour on the same weekday of the weeks before.
+//! Usual densities: those of the same quarter hour on the same weekday of the weeks before.
 //!
 //! Owns the band (the 10 % and 90 % quantiles and the median of up to [`WEEKS`] weeks) and the table
 //! that makes it quick: `ROOT/daily/date=YYYY-MM-DD/daily.parquet` has each site's quarter hours of a
@@ -38,7 +38,7 @@ pub struct Band {
 /// A site's quarter hours of a day.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SiteDay {
-    /// Which.
+    /// The site.
     pub site: String,
     /// Mean density over lanes, veh/km/lane; not a number where it is not known.
     pub densities: [f32; BINS],
@@ -93,8 +93,8 @@ fn changed(path: &Path) -> Option<SystemTime> {
 }
 
 impl Usual {
-    /// What bands of `days` (since 1970, UTC) ask for, from the archive under `root` with these
-    /// partitions; `threads` read at a time. Days that cannot be read are named in `told`.
+    /// The days that bands of `days` (since 1970, UTC) need, from the archive under `root` with
+    /// these partitions; `threads` read at a time. Days that cannot be read are named in `told`.
     pub fn of(
         root: &Path,
         partitions: &[Partition],

@@ -16,7 +16,7 @@ use std::path::Path;
 use verge_desk::Failure;
 use verge_messages::Status;
 
-/// What is asked of the archive.
+/// A question to the archive.
 pub(super) struct Question<'a> {
     pub(super) archive: &'a Path,
     pub(super) site: &'a str,

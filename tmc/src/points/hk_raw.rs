@@ -11,7 +11,7 @@ use verge_desk::Failure;
 /// From 30 s to an hour.
 const PER_HOUR: f64 = 120.0;
 
-/// What is known of a lane before its element ends.
+/// A lane before its element ends.
 #[derive(Default)]
 struct Lane {
     name: String,

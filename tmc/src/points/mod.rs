@@ -36,7 +36,7 @@ pub enum Source {
 /// Arguments of `points`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// What the input is.
+    /// Kind of the input.
     #[arg(long)]
     from: Source,
     /// The file, or folder for ngsim; a gzipped file is unpacked.
@@ -51,7 +51,7 @@ pub struct Arguments {
     /// Only this lane, named as in the input ("Fast Lane"; PeMS: its number).
     #[arg(long, value_name = "NAME")]
     lane: Option<String>,
-    /// Which site of the archive.
+    /// The site of the archive.
     #[arg(long, value_name = "NAME")]
     site: Option<String>,
     /// Length of the archive's windows, s; without it the shortest.

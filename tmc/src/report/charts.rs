@@ -53,7 +53,7 @@ fn highest(rows: &[[Mean; BINS]]) -> f64 {
     rows.iter().flatten().filter_map(|mean| mean.value()).fold(1.0, f64::max)
 }
 
-/// What stands beside the rows of a map.
+/// The axis beside the rows of a map.
 struct Side<'a> {
     name: &'a str,
     /// Lowest and highest value.

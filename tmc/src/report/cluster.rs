@@ -23,7 +23,7 @@ use url::Url;
 
 /// Parts of a query: a site's days are shared out between that many tasks.
 const PARTITIONS: usize = 8;
-/// What all queries together may hold here; beyond it they go to the disk.
+/// Memory of all queries together here; beyond it they go to the disk.
 const MEMORY_BYTES: usize = 512 << 20;
 
 /// A cluster that reads the archive under the same path as this program.

@@ -39,7 +39,7 @@ pub struct Arguments {
     /// Folder for the report: index.html and a folder for each site.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What sites are called and where they are: CSV with `site`, and of `name`, `road`,
+    /// Names and places of the sites: CSV with `site`, and of `name`, `road`,
     /// `direction`, `latitude`, `longitude` and `bearing` what there is.
     #[arg(long, value_name = "FILE.csv")]
     sites: Option<PathBuf>,
@@ -138,11 +138,11 @@ pub(crate) fn threads(asked: Option<u16>) -> usize {
     asked.map_or_else(processors, usize::from)
 }
 
-/// What came of all sites.
+/// Results of all sites.
 #[derive(Default)]
 struct All {
     summaries: Vec<Summary>,
-    /// What is wrong with a day or a site; the others are not touched by it.
+    /// Failures of a day or a site, which do not touch the others.
     failed: Vec<Failure>,
 }
 
@@ -350,7 +350,7 @@ fn chosen(arguments: &Arguments) -> Result<Vec<Site>, Failure> {
     Ok(sites)
 }
 
-/// What is wrong with a site's name that an archive does not have.
+/// The failure for a site that the archive does not have.
 pub(crate) fn not_there(archive: &Path, site: &str) -> Desk {
     let sites = store::sites(archive).unwrap_or_default();
     let some: Vec<_> = sites.iter().take(3).map(String::as_str).collect();

@@ -50,7 +50,7 @@ fn paper(drawing: &Drawing) -> String {
     format!("<div class=\"paper\">{}</div>\n", drawing.svg())
 }
 
-/// What people call a site.
+/// Name of a site, for people.
 fn title(now: Option<&SiteNow>, site: &str) -> String {
     now.and_then(|now| now.known.place.name.clone())
         .map_or_else(|| site.to_owned(), |name| format!("{name} ({site})"))

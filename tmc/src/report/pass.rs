@@ -49,7 +49,7 @@ struct Pass {
     sums: Sums,
 }
 
-/// What the windows of one length add up to.
+/// Sums of the windows of one length.
 struct Sums {
     window_s: Option<i32>,
     rows: u64,

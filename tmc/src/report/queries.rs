@@ -1,6 +1,6 @@
 //! The questions that a report asks of a cluster, in SQL: the sums of `pass`.
 //!
-//! What comes back is sums and counts: their number grows with lanes, cells, bins and days, not with
+//! The answers are sums and counts: their number grows with lanes, cells, bins and days, not with
 //! windows. `tests/ballista.rs` holds that a cluster's report has the bytes of one process.
 
 use super::summary::{BINS, LANES};
@@ -23,10 +23,10 @@ const DENSITY: &str =
 const IS_STATED: &str = "density_veh_km BETWEEN 0 AND 10000 AND density_se BETWEEN 0 AND 10000 \
     AND calibration_se BETWEEN 0 AND 1000000 AND counting_se BETWEEN 0 AND 1000000";
 
-/// What a report is about.
+/// Extent of a report.
 #[derive(Clone, Debug)]
 pub(super) struct Scope {
-    /// Which site.
+    /// The site.
     pub site: String,
     /// Days since 1970, UTC.
     pub days: Vec<i64>,

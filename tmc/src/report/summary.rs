@@ -63,7 +63,7 @@ impl Along {
 /// The sums of one site.
 #[derive(Clone, Debug)]
 pub struct Summary {
-    /// Which.
+    /// The site.
     pub site: String,
     /// Length of the windows, s; none where there are none.
     pub window_s: Option<i32>,

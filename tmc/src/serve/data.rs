@@ -61,7 +61,7 @@ fn sites(morning: &Morning) -> Value {
     morning.sites.iter().map(row).collect()
 }
 
-/// What is asked for: a site from one time to another, in steps, of all lanes or of one.
+/// A request: a site from one time to another, in steps, of all lanes or of one.
 #[derive(Debug, PartialEq, Eq)]
 struct Asked {
     site: String,

@@ -37,7 +37,7 @@ pub struct Arguments {
     /// Port on loopback; 0 takes a free one.
     #[arg(long, default_value_t = 8088)]
     port: u16,
-    /// What sites are called and where they are, as for `report`.
+    /// Names and places of the sites, as for `report`.
     #[arg(long, value_name = "FILE.csv")]
     sites: Option<PathBuf>,
     /// Local time ahead of UTC: +08:00.
@@ -81,7 +81,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What pages are made of, and the latest one.
+/// Data that pages are made of, and the latest page.
 struct Centre {
     archive: PathBuf,
     places: Places,

@@ -43,7 +43,7 @@ pub struct Densities {
     /// Of cells, where they begin along the lane and how long they are, m; not numbers for rows of
     /// whole lanes, empty where there are no others.
     pub places: [Vec<f32>; 2],
-    /// Which rows are cells; empty where none is.
+    /// Marks rows that are cells; empty where none is.
     pub is_cell: Vec<bool>,
 }
 

@@ -32,7 +32,7 @@ pub struct AlarmRow {
     pub site: String,
     /// When, ms since 1970.
     pub time_ms: i64,
-    /// Which.
+    /// The alarm.
     pub name: String,
     /// Raised, or over.
     pub active: bool,
@@ -212,7 +212,7 @@ pub fn read_table<R: Record>(path: &Path) -> Result<Vec<R>, Failure> {
         }
         Ok(rows)
     };
-    // What a damaged file makes the crate do: return an error, or panic.
+    // On a damaged file the crate returns an error, or panics.
     let panicked = |_| Err("its reader panicked".to_owned());
     catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(panicked).map_err(wrong)
 }

@@ -46,7 +46,7 @@ pub(super) fn damaged(path: &Path, error: &ParquetError) -> Failure {
     Failure::content(path, 0, reason)
 }
 
-/// What a damaged file makes the crate do: return an error, or panic.
+/// Turns a panic into an error: on a damaged file the crate does either.
 pub(super) fn guarded<T>(
     read: impl FnOnce() -> Result<T, ParquetError>,
 ) -> Result<T, ParquetError> {

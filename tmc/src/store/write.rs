@@ -53,7 +53,7 @@ pub fn write_rows(
             writer.finish()
         };
         encode().map_err(io::Error::other)?;
-        // What was written is not the whole, and must not take the old one's place.
+        // A part that was written must not take the old file's place.
         if broken.is_some() { Err(io::Error::other("a row is missing")) } else { buffer.flush() }
     });
     broken.map_or(written, Err)

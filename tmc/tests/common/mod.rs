@@ -1,4 +1,4 @@
-//! What the command's tests share: running it, made points, where data lies, how to skip.
+//! Shared by the command's tests: running it, made points, where data lies, how to skip.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 use serde_json::Value;
@@ -34,7 +34,7 @@ pub fn failure(args: &[&str]) -> (i32, String) {
     (output.status.code().expect("an exit code"), stderr(&output))
 }
 
-/// What a program wrote to standard error.
+/// The standard error of a finished program.
 pub fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }

@@ -11,7 +11,7 @@ from grafana_foundation_sdk.cog.encoder import JSONEncoder
 from grafana_foundation_sdk.cog.plugins import register_default_plugins
 from grafana_foundation_sdk.models.dashboard import Dashboard
 
-# What the schema leaves to the data source: Prometheus' own keys of variables and annotations.
+# Left by the schema to the data source: Prometheus' own keys of variables and annotations.
 OWN = {"definition", "titleFormat", "step"}
 
 

@@ -18,11 +18,11 @@ pub const WITHIN: Duration = Duration::from_secs(60);
 /// Change of a part's state by its latest outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// It is as it was.
+    /// As before.
     None,
-    /// It worked, and does not any more.
+    /// It worked, and fails now.
     Broke,
-    /// It works again.
+    /// It failed, and works again.
     Mended,
 }
 

@@ -38,7 +38,7 @@ pub const MAX_MESSAGE: usize = MAX_DENSITY_MESSAGE + 8 * 97;
 /// The checksum of everything that the project sends in binary.
 pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Where the metres of a density come from.
+/// The calibration behind the metres of a density.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationRef {
     /// Its name.
@@ -80,7 +80,7 @@ pub struct DensityMessage {
     pub clock_synced: bool,
     /// The measurement.
     pub report: WindowReport,
-    /// Where its metres come from.
+    /// The calibration behind its metres.
     pub calibration: CalibrationRef,
     /// The model that found the vehicles.
     pub model: ModelRef,

@@ -51,7 +51,7 @@ pub fn of_pixels(rgb: &[u8], width: usize, height: usize) -> Light {
 pub fn of_file(path: &Path) -> Result<Light, Failure> {
     let bytes = std::fs::read(path).map_err(|source| Failure::reading(path, source))?;
     let picture = image::load_from_memory(&bytes)
-        .map_err(|error| Failure::content(path, 0, format!("is no JPEG or PNG: {error}")))?
+        .map_err(|error| Failure::content(path, 0, format!("is not a JPEG or PNG: {error}")))?
         .to_rgb8();
     let (width, height) = picture.dimensions();
     Ok(of_pixels(picture.as_raw(), width as usize, height as usize))

@@ -12,10 +12,10 @@ pub struct AlarmMessage {
     /// Version of the message.
     #[serde(default)]
     pub schema: Schema,
-    /// Who.
+    /// The site.
     #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub site: String,
-    /// Since when.
+    /// Time of the change.
     pub time: Utc,
     /// The alarm.
     pub name: Alarm,

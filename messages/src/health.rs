@@ -29,10 +29,10 @@ const MOST_VEH_KM: f32 = 10_000.0;
 pub struct Health {
     /// Version of the message.
     pub schema: Schema,
-    /// Who.
+    /// The site.
     #[cfg_attr(feature = "schema", schemars(length(max = crate::LONGEST_NAME)))]
     pub site: String,
-    /// When.
+    /// Time of the message.
     pub time: Utc,
     /// Version of the program.
     pub version: String,

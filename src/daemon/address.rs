@@ -21,10 +21,10 @@ pub enum Protocol {
 pub const SCHEMES: [&str; 6] =
     ["http://", "https://", "mjpeg+http://", "mjpeg+https://", "rtsp://", "rtsps://"];
 
-/// Where a camera is asked for what.
+/// Address of a camera's picture, stream or video.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Address {
-    /// How it is asked.
+    /// Protocol by which it is asked.
     pub protocol: Protocol,
     /// Whether the connection is secured by TLS.
     pub secure: bool,

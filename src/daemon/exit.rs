@@ -128,9 +128,9 @@ pub enum Failure {
     /// Messages that could not be converted.
     #[error("{bad} of {count} messages could not be read; the others are converted")]
     Messages {
-        /// How many.
+        /// Messages that could not be read.
         bad: usize,
-        /// Of how many.
+        /// All messages.
         count: usize,
     },
     /// The broker.
@@ -146,9 +146,9 @@ pub enum Failure {
     /// Checks that did not pass.
     #[error("{failed} of {checks} checks failed")]
     Checks {
-        /// How many failed.
+        /// Checks that failed.
         failed: usize,
-        /// How many ran.
+        /// All checks.
         checks: usize,
         /// Exit code of the first that failed.
         code: u8,

@@ -9,9 +9,9 @@ pub use crate::evidence::{Detection, PixelBox};
 /// One picture as the camera gave it. Its buffers are kept from frame to frame.
 #[derive(Debug, Default)]
 pub struct Frame {
-    /// When it was taken.
+    /// Time at which it was taken.
     pub time: UtcMs,
-    /// Where it came from, for messages: a file name or `snapshot`.
+    /// Its source, for messages: a file name or `snapshot`.
     pub name: String,
     /// Its pixels.
     pub picture: Picture,

@@ -57,10 +57,10 @@ impl WindowSettings {
 /// Whether vehicles are followed, which flow and speed need.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Following {
-    /// Nobody asked for it.
+    /// Not asked for.
     #[default]
     Off,
-    /// They are.
+    /// Vehicles are followed.
     On {
         /// Time between two pictures.
         interval: Duration,

@@ -15,7 +15,7 @@ use verge_messages::{LaneName, MOST_LANES, Place, check_lane};
 pub struct Site {
     /// Its name, in topics and messages.
     pub id: String,
-    /// Where it is; none where the file does not say.
+    /// Its position; `None` where the file has none.
     pub place: Option<Place>,
     /// Names of its lanes.
     pub lanes: Vec<LaneName>,

@@ -83,7 +83,7 @@ impl SiteCorrection {
     }
 }
 
-/// Where a window's count comes from.
+/// Traffic and light behind a window's count.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Load {
     /// Mean number of vehicles that were counted in all lanes together.

@@ -40,7 +40,7 @@ pub(super) struct Track {
     pub(super) seen: u8,
     /// Time since the first, s.
     pub(super) age_s: f32,
-    /// Where it was seen last, m: up to there it is counted.
+    /// Place at which it was seen last, m: up to there it is counted.
     pub(super) at_m: f32,
     /// Time since then, the part of it in which it moved, and the pictures in it that missed it.
     pub(super) unseen_s: f32,
@@ -48,7 +48,7 @@ pub(super) struct Track {
     pub(super) missed: u16,
     /// Time in it for which the section was covered, as it is taken to have moved, s.
     pub(super) unseen_occupied_s: f32,
-    /// Where it was in the picture before, m.
+    /// Place in the picture before, m.
     pub(super) was_m: f32,
     /// From where it is known, m: 0 where it came in at the upstream end.
     pub(super) from_m: f32,

@@ -28,7 +28,7 @@ pub struct Camera {
     pub translation: Vector3<f64>,
 }
 
-/// Where a camera looks: angles in radians.
+/// Direction of a camera: angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attitude {
     /// Clockwise from the world's +Y, seen from above.

@@ -21,7 +21,7 @@ pub enum Message {
 }
 
 impl Message {
-    /// Whose it is.
+    /// The site.
     pub fn site(&self) -> &str {
         match self {
             Self::Density(message) => &message.site,

@@ -12,7 +12,7 @@ pub type Bounds = [f64; 4];
 /// A labelled vehicle.
 #[derive(Clone, Copy, Debug)]
 pub struct Labelled {
-    /// Where it is.
+    /// Its box.
     pub bounds: Bounds,
     /// A group of vehicles, or one that must not count: found or not, it changes nothing.
     pub crowd: bool,
@@ -21,7 +21,7 @@ pub struct Labelled {
 /// A detection.
 #[derive(Clone, Copy, Debug)]
 pub struct Found {
-    /// Where it is.
+    /// Its box.
     pub bounds: Bounds,
     /// How sure, 0..1.
     pub score: f64,

@@ -179,7 +179,7 @@ fn yolo(path: &Path, [width, height]: [u32; 2]) -> Result<Vec<Labelled>, Failure
 fn open(path: &Path, truth: Vec<Labelled>) -> Result<Frame, Failure> {
     let bytes = fs::read(path).map_err(|source| Failure::reading(path, source))?;
     let picture = image::load_from_memory(&bytes)
-        .map_err(|error| Failure::content(path, 0, format!("is no JPEG or PNG: {error}")))?
+        .map_err(|error| Failure::content(path, 0, format!("is not a JPEG or PNG: {error}")))?
         .to_rgb8();
     let (width, height) = picture.dimensions();
     let light = light::of_pixels(picture.as_raw(), width as usize, height as usize);

@@ -29,7 +29,7 @@ pub struct LeftToTract {
     pub node: String,
     /// Its operator.
     pub operator: String,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 

@@ -41,7 +41,7 @@ xsi:type=\"roa:MeasurementSiteTablePublication\" lang=\"en\" modelBaseVersion=\"
 pub fn site(message: &Density) -> Result<String, String> {
     let no_position = || {
         let site = &message.site;
-        format!("site {site:?} says not where it is: give latitude and longitude under [site]")
+        format!("site {site:?} has no position: give latitude and longitude under [site]")
     };
     let place = message.place.as_ref().ok_or_else(no_position)?;
     let [latitude, longitude] = place.position().ok_or_else(no_position)?;

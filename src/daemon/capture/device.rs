@@ -91,7 +91,7 @@ pub enum DeviceError {
     Timeout {
         /// The device.
         path: PathBuf,
-        /// How long was waited.
+        /// Time waited.
         timeout: Duration,
     },
     /// A step of streaming failed; the device may be gone.
@@ -109,7 +109,7 @@ pub enum DeviceError {
     Flagged {
         /// The device.
         path: PathBuf,
-        /// How many.
+        /// Number of damaged frames.
         frames: u32,
     },
 }

@@ -126,7 +126,7 @@ pub enum SourceError {
     Device(#[from] DeviceError),
 }
 
-/// Where pictures come from.
+/// A source of pictures, open.
 #[derive(Debug)]
 pub enum Source {
     /// A folder of pictures.

@@ -47,7 +47,7 @@ pub enum RecordingError {
     Interval(Duration),
 }
 
-/// Where the frames' times come from.
+/// Source of the frames' times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TimeSource {
     /// Each name carries its time (UTC).

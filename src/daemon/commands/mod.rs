@@ -39,7 +39,7 @@ pub struct ModelArgs {
     input: NetInput,
 }
 
-/// Where a model or a lane table lies.
+/// Place of a model or a lane table.
 fn file(text: &str) -> Result<PathBuf, Infallible> {
     Ok(places::find(Path::new(""), Path::new(text)))
 }

@@ -94,12 +94,12 @@ pub enum ConfigError {
 pub struct Config {
     /// Name of the site, in topics and messages, and where it is.
     pub site: Site,
-    /// Where pictures come from.
+    /// The source of pictures.
     pub camera: Camera,
     /// The model that finds vehicles.
     #[serde(default)]
     pub model: Model,
-    /// Where lanes are.
+    /// The lane tables.
     pub lane_table: LaneTable,
     /// Over what time density is taken.
     #[serde(default)]
@@ -107,7 +107,7 @@ pub struct Config {
     /// Whether flow and speed are measured.
     #[serde(default)]
     pub traffic: Traffic,
-    /// Where messages go.
+    /// The broker.
     #[serde(default)]
     pub mqtt: Mqtt,
     /// The store of windows until they have arrived.

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Where pictures come from.
+/// The source of pictures.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
@@ -120,7 +120,7 @@ impl<'de> Deserialize<'de> for NetInput {
 /// `places` looks where packages and builds have it.
 pub const DEFAULT_MODEL: &str = "models/verge_nanodet_640x480.toml";
 
-/// Where lanes are.
+/// The lane tables.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LaneTable {
@@ -193,7 +193,7 @@ impl Default for Spool {
     }
 }
 
-/// Where messages go.
+/// The broker.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Mqtt {

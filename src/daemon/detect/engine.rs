@@ -117,7 +117,7 @@ impl Engine {
         &self.left
     }
 
-    /// Where the next picture goes.
+    /// Memory for the next picture.
     pub(super) fn input(&mut self) -> Into<'_> {
         if self.ends.first.is_none() {
             return Into::Planes(&mut self.planes);
@@ -222,7 +222,7 @@ impl Engine {
     }
 }
 
-/// Where the kernels begin and end a net.
+/// Ends of the kernels' part of a net.
 #[derive(Debug)]
 struct Ends {
     /// The node of theirs that alone reads the input, and nothing else: it is filled in place.

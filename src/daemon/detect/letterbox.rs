@@ -15,7 +15,7 @@ const BAR: f32 = 114.0;
 /// Adding and subtracting it rounds values below 2^22 to the nearest even.
 const ROUND: f32 = 12_582_912.0;
 
-/// Where the input goes, and in which form.
+/// Destination of the input, and its form.
 #[derive(Debug)]
 pub(super) enum Into<'a> {
     /// Three planes of `rows x columns`.
@@ -41,7 +41,7 @@ pub(super) struct Letterbox {
     mixed: Vec<f32>,
 }
 
-/// Where a region of one size lies in the input.
+/// Place of a region of one size in the input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Fit {
     region: [usize; 2],

@@ -92,7 +92,7 @@ pub struct Sidecar {
     pub sha256: String,
     /// Licence of the weights.
     pub licence: String,
-    /// How it is fed.
+    /// Form of the net's input.
     pub input: Input,
     /// How its output is read: a word, or a table for further settings. Without it the shape
     /// of the output decides.

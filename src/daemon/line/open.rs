@@ -18,11 +18,11 @@ use std::path::{Path, PathBuf};
 /// the camera has moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judging {
-    /// They are, and an unfit picture is withheld.
+    /// Pictures are judged, and unfit ones are withheld.
     Heeded,
-    /// They are, and measured all the same: to time the line.
+    /// Pictures are judged, and measured all the same: to time the line.
     Ignored,
-    /// They are not.
+    /// Pictures are not judged.
     Off,
 }
 

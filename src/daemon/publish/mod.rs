@@ -64,7 +64,7 @@ impl Identity {
         self
     }
 
-    /// Where the site is.
+    /// Position and names of the site.
     pub const fn located(&self) -> Option<&payload::Located> {
         self.located.as_ref()
     }
@@ -110,7 +110,7 @@ pub enum Delivery {
 pub struct Publisher {
     root: String,
     format: Format,
-    /// Where the site is; JSON messages carry it.
+    /// Position and names of the site; JSON messages carry them.
     located: Option<payload::Located>,
     /// Whether the broker keeps the latest live window of each length.
     keeps_latest: bool,
@@ -259,7 +259,7 @@ impl Publisher {
         self.session
     }
 
-    /// When the first certificate of the connection ends, where that is known.
+    /// End of the first certificate of the connection, where it is known.
     pub fn certificate_end(&self) -> Option<UtcMs> {
         self.tls.as_ref()?.first_end()
     }

@@ -26,10 +26,10 @@ pub fn density_at(message: &DensityMessage, done: Option<bool>, at: &Located) ->
     verge_messages::json(&messages::density(message, done).at(place, lanes))
 }
 
-/// Where a site is, and what its lanes are called.
+/// Position of a site, and names of its lanes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Located {
-    /// Where it is.
+    /// Position.
     pub place: verge_messages::Place,
     /// Its lanes.
     pub lanes: Vec<verge_messages::LaneName>,

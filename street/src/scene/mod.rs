@@ -58,7 +58,7 @@ pub struct Scene {
     /// Shares of vehicle classes.
     #[serde(default)]
     pub fleet: FleetMix,
-    /// Where density is measured.
+    /// The measured stretch.
     #[serde(default)]
     pub measure: Measure,
     /// Faults of the camera.

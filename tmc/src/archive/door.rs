@@ -54,7 +54,7 @@ struct Account {
     later_bytes: u64,
 }
 
-/// Who may come in.
+/// Admission of messages, by site.
 #[derive(Debug)]
 pub(super) struct Door {
     root: String,

@@ -11,13 +11,13 @@ use verge_desk::Failure;
 /// Messages that are missing between two windows.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Gap {
-    /// Whose.
+    /// The site.
     pub site: String,
     /// Length of the windows, s.
     pub window_s: i32,
     /// Beginning of the window after which they are missing, ms since 1970.
     pub after_ms: i64,
-    /// How many.
+    /// Number of missing messages.
     pub missing: i64,
 }
 

@@ -25,7 +25,7 @@ const CIRCUMFERENCE_M: f64 = 40_075_016.7;
 pub struct Tiles {
     /// The address with `{z}`, `{x}` and `{y}`.
     pub template: String,
-    /// Whose the map is.
+    /// Owner of the map.
     pub attribution: String,
 }
 

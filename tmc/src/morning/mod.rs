@@ -57,7 +57,7 @@ pub struct Point {
 pub struct SiteNow {
     /// Its name in topics.
     pub site: String,
-    /// Where it is.
+    /// Position and names.
     pub known: Known,
     /// Its troubles, the oldest first.
     pub trouble: Vec<Trouble>,

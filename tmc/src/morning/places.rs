@@ -14,12 +14,12 @@ use verge_messages::Place;
 /// Sites of the centre's own table, by their names in topics.
 pub type Places = BTreeMap<String, Place>;
 
-/// A site's place and what its lanes are called.
+/// A site's place, and names of its lanes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Known {
-    /// Where it is.
+    /// Position and names.
     pub place: Place,
-    /// Of some lanes, what they are called.
+    /// Names of some lanes.
     pub lanes: BTreeMap<i32, String>,
 }
 

@@ -28,7 +28,7 @@ use verge_messages::{AlarmMessage, Health, Place};
 /// An alarm that was raised, or is over.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct AlarmRow {
-    /// Whose.
+    /// The site.
     pub site: String,
     /// When, ms since 1970.
     pub time_ms: i64,
@@ -41,7 +41,7 @@ pub struct AlarmRow {
 /// The state of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HealthRow {
-    /// Whose.
+    /// The site.
     pub site: String,
     /// When, ms since 1970.
     pub time_ms: i64,
@@ -82,11 +82,11 @@ pub struct HealthRow {
 /// A place that a site has from a time on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaceRow {
-    /// Whose.
+    /// The site.
     pub site: String,
-    /// From when, ms since 1970.
+    /// Beginning, ms since 1970.
     pub since_ms: i64,
-    /// Where.
+    /// Position and names.
     pub place: Place,
     /// Its lanes with name and order, JSON: `[{"lane":1,"name":"slow lane","order":1}]`.
     pub lanes: String,

@@ -38,7 +38,7 @@ impl std::fmt::Debug for Credentials {
 /// How to ask a camera on a network for pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CameraSettings {
-    /// Where it is.
+    /// Its address.
     pub address: Address,
     /// User and password; the address may hold them too.
     pub credentials: Option<Credentials>,
@@ -124,7 +124,7 @@ pub enum Fault {
     Timeout {
         /// The part that was waited for.
         what: &'static str,
-        /// How long was waited.
+        /// Time waited.
         waited: Duration,
     },
     /// The answer is not of the protocol.
@@ -132,7 +132,7 @@ pub enum Fault {
     Protocol {
         /// The protocol.
         protocol: &'static str,
-        /// How it begins.
+        /// First bytes of the answer.
         begins: String,
     },
     /// An answer other than a picture.
@@ -167,7 +167,7 @@ pub enum Fault {
          camera.redirect_hosts"
     )]
     RedirectedAway {
-        /// Where to.
+        /// The other host.
         host: String,
     },
     /// It redirects in a circle, or to nowhere.
@@ -189,7 +189,7 @@ pub enum Fault {
         waited.as_secs_f32()
     )]
     NoKey {
-        /// How long was waited.
+        /// Time waited.
         waited: Duration,
         /// Pictures that came.
         pictures: u64,

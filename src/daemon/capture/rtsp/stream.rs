@@ -15,9 +15,9 @@ pub struct Stream {
     pub pictures: u64,
     /// See [`Self::pictures`].
     pub keys: u64,
-    /// Since when.
+    /// Beginning of the counts.
     pub since: Option<Instant>,
-    /// When the latest key picture came.
+    /// Time of the latest key picture.
     pub last_key: Option<Instant>,
     /// Time between the latest two.
     pub key_interval: Option<Duration>,

@@ -50,7 +50,7 @@ pub(in crate::daemon::commands) fn become_the_units_user(config: &Path) {
     log::warn!("checked as root, not as {USER}, the unit's user: setpriv: {error}");
 }
 
-/// Who checks.
+/// The user that checks, in words.
 pub(super) fn who() -> &'static str {
     if std::env::var_os(DONE).is_some() { "as the unit's user" } else { "as this user" }
 }

@@ -45,7 +45,7 @@ pub enum MqttVersion {
     V5,
 }
 
-/// Where the broker is, and who we are to it.
+/// Address of the broker, and our identity there.
 #[derive(Clone, PartialEq)]
 pub struct MqttSettings {
     /// Host name or address.

@@ -21,7 +21,7 @@ const DEFAULT_SIZE: [usize; 2] = [640, 480];
 const MOST_PX: usize = 4096;
 const MOST_VALUES: usize = 1 << 27;
 
-/// Requirements on a file.
+/// Settings of loading.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wanted {
     /// Columns and rows that the file must have, if it fixes them.

@@ -100,7 +100,7 @@ pub struct Sidecar {
     pub head: Option<HeadKey>,
     /// Score columns of vehicles.
     pub class: Vec<ClassColumn>,
-    /// Least scores of detections.
+    /// Thresholds of score and overlap.
     pub thresholds: Thresholds,
     /// How boxes are weighed where the net's score alone does not decide.
     #[serde(default)]
@@ -184,7 +184,7 @@ pub struct ClassColumn {
     pub name: VehicleClass,
 }
 
-/// Least scores of detections.
+/// Thresholds of score and overlap.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {

@@ -34,9 +34,12 @@ mod hull;
 mod lanes;
 mod marks;
 mod mixture;
+mod observed;
 mod prior;
 mod problem;
 mod solve;
+#[cfg(test)]
+mod tests;
 mod traffic;
 mod view;
 

@@ -137,11 +137,11 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
     pub fn parse(table: B) -> Result<Self, LaneTableError> {
         let bytes = table.as_ref();
         let too_short = |needed| LaneTableError::TooShort { needed, actual: bytes.len() };
-        let header = bytes.first_chunk::<HEADER>().ok_or(too_short(HEADER + TRAILER))?;
-        let [m0, m1, m2, m3, m4, m5, m6, m7, version, reserved, len0, len1] = *header;
-        if [m0, m1, m2, m3, m4, m5, m6, m7] != MAGIC {
+        if bytes.iter().zip(&MAGIC).any(|(byte, right)| byte != right) {
             return Err(LaneTableError::Magic);
         }
+        let header = bytes.first_chunk::<HEADER>().ok_or(too_short(HEADER + TRAILER))?;
+        let [.., version, reserved, len0, len1] = *header;
         if !(VERSION_BARE..=VERSION).contains(&version) {
             return Err(LaneTableError::Version { found: version });
         }

@@ -118,6 +118,15 @@ const CA: &str = "openssl req -new -x509 -days 30 -nodes -newkey rsa:2048 -keyou
                   openssl req -new -nodes -newkey rsa:2048 -keyout server.key -out s.csr \
                   -subj /CN=localhost 2>/dev/null;";
 
+/// A certificate of 2020, which `openssl x509` of Debian 12 cannot make.
+const EXPIRED: &str = "mkdir new; : > index; echo 01 > serial; printf '%s\\n' [ca] default_ca=d [d] \
+    database=index new_certs_dir=new serial=serial default_md=sha256 policy=p [p] \
+    commonName=supplied [e] subjectAltName=DNS:localhost > ca.conf; \
+    openssl ca -batch -config ca.conf -extensions e -in s.csr -cert ca.crt -keyfile ca.key \
+    -startdate 20200101000000Z -enddate 20210101000000Z -notext -out server.crt 2>/dev/null";
+const SHORT_KEY: &str = "openssl req -new -nodes -newkey rsa:1024 -keyout server.key -out s.csr \
+    -subj /CN=localhost 2>/dev/null;";
+
 #[test]
 fn certificates_as_guides_make_them() {
     let Some(mosquitto) = Mosquitto::installed() else { return };
@@ -144,13 +153,20 @@ fn certificates_as_guides_make_them() {
             ),
             Some("neither stands in mqtt.ca_file"),
         ),
+        ("expired", format!("{CA} {EXPIRED}"), Some("has expired: renew it")),
+        (
+            "with a short key",
+            format!("{CA} {SHORT_KEY} {sign} -extfile <(echo subjectAltName=DNS:localhost)"),
+            Some("RSA below 2048 bits"),
+        ),
     ] {
         let folder = common::folder();
         let Some((certificate, key)) = made(folder.path(), &recipe) else { return };
         let port = free_port();
         let config = folder.path().join("mosquitto.conf");
         let text = format!(
-            "listener {port} 127.0.0.1\nallow_anonymous true\ncertfile {}\nkeyfile {}\n",
+            "listener {port} 127.0.0.1\nallow_anonymous true\ncertfile {}\nkeyfile {}\n\
+             ciphers DEFAULT:@SECLEVEL=0\n",
             certificate.display(),
             key.display()
         );

@@ -152,7 +152,7 @@ fn a_bad_line_is_named_and_the_others_are_converted() {
     let (code, output, errors) = convert(&input, &["--to", "json"]);
     assert_eq!(code, Some(65), "{errors}");
     assert_eq!(output, lines);
-    assert!(errors.contains("line 3: not a density message: missing field `site`"), "{errors}");
+    assert!(errors.contains("line 3: not a density message: site is missing"), "{errors}");
     assert!(errors.contains("1 of 3 messages"), "{errors}");
 }
 

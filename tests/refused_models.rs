@@ -37,7 +37,7 @@ fn a_sidecar_that_blinds_the_net_fails_the_known_picture() {
         ("strides = [8, 16, 32, 64]", "strides = [8, 16, 32, 32]"),
     ] {
         let error = refusal(from, to);
-        assert!(error.contains("failed its test") || error.contains("has shape"), "{error}");
+        assert!(error.contains("failed its test") || error.contains("has the shape"), "{error}");
     }
 }
 

@@ -1,6 +1,6 @@
 //! The operations of a network, and the memory that all share.
 //!
-//! Owns the operations and their operands; `step` executes them.
+//! Owns what a step names; how it is done is `step`'s.
 
 use crate::moves::Rescale;
 use crate::pack::{Packed, PackedF};

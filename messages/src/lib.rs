@@ -55,6 +55,8 @@ mod topic;
 #[cfg(feature = "json")]
 mod traffic;
 #[cfg(feature = "json")]
+mod words;
+#[cfg(feature = "json")]
 mod wrong;
 
 pub use alarm::Alarm;

@@ -8,6 +8,7 @@ use super::capture::{
     utc_offset,
 };
 use super::config::{Config, ConfigError, Site, SourceKind};
+use super::dates::Dates;
 use super::exit::Failure;
 use super::frame::Frame;
 use super::line::{Line, LineSettings};
@@ -77,10 +78,10 @@ pub fn open_recording(
     windows: &WindowSettings,
     frames: &Path,
     interval: Option<Duration>,
-    utc_offset_s: i32,
+    (utc_offset_s, dates): (i32, Option<Dates>),
     top_kmh: f32,
 ) -> Result<(Recorded, Line, Windows<Vec<Preset>>), Failure> {
-    let recorded = Recorded::open_local(frames, interval, utc_offset_s)?;
+    let recorded = Recorded::open_local(frames, interval, utc_offset_s, dates)?;
     // Before anything is refused for it.
     if recorded.assumes_interval() {
         log::warn!(
@@ -112,7 +113,7 @@ pub fn open_endless(
     frames: &Path,
 ) -> Result<(Station, Windows<Vec<Preset>>), Failure> {
     let (recorded, line, windows) =
-        open_recording(settings, windows, frames, None, 0, DEFAULT_TOP_KMH)?;
+        open_recording(settings, windows, frames, None, (0, None), DEFAULT_TOP_KMH)?;
     let source = Source::Recorded(recorded.for_ever());
     Ok((Station::with(source, Frame::default(), line), windows))
 }
@@ -210,7 +211,7 @@ fn located(config: &Config, line: &Line) -> Result<Option<Located>, Failure> {
         let reason =
             format!("lane {}: the lane table has lanes {}", named.lane, numbers.join(", "));
         let path = config.lane_table.file.clone();
-        return Err(ConfigError::Value { path, key: "site.lanes", reason }.into());
+        return Err(ConfigError::Value { path, line: None, key: "site.lanes", reason }.into());
     }
     let lanes = lanes.clone();
     Ok(place.clone().map(|place| Located { place, lanes }))

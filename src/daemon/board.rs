@@ -66,7 +66,7 @@ impl<L: Switch, R: Switch, W: Watchdog, T: Thermometer> Driven<L, R, W, T> {
                 Ok(reading) => self.derating.take(reading).map(drop).map_err(|unbelievable| {
                     format!("{:.1} degrees Celsius cannot be true", unbelievable.read_c)
                 }),
-                Err(error) => Err(format!("{error:?}")),
+                Err(error) => Err(words(&error)),
             };
             if outcome.is_err() && self.thermometer.is_broken() {
                 self.derating.lose();
@@ -101,7 +101,7 @@ impl<L: Switch, R: Switch, W: Watchdog, T: Thermometer> Driven<L, R, W, T> {
     /// watchdog must not reset the box.
     pub fn stop(&mut self) {
         if let Err(error) = self.board.watchdog.disarm() {
-            log::error!("watchdog: {error:?}; the box will be reset");
+            log::error!("watchdog: {}; the box will be reset", words(&error));
         }
         let _ = self.board.status_led.set(false);
         let _ = self.board.camera_power.set(true);
@@ -134,7 +134,15 @@ impl<L: Switch, R: Switch, W: Watchdog, T: Thermometer> Driven<L, R, W, T> {
 }
 
 fn said<E: Debug>(outcome: Result<(), E>) -> Result<(), String> {
-    outcome.map_err(|error| format!("{error:?}"))
+    outcome.map_err(|error| words(&error))
+}
+
+/// A part's fault in words. `embedded-hal` asks errors for `Debug` alone: a text comes quoted by it, a
+/// number of the system behind it.
+fn words(error: &impl Debug) -> String {
+    let said = format!("{error:?}");
+    let text = said.strip_prefix('"').and_then(|rest| rest.strip_suffix('"')).unwrap_or(&said);
+    text.split(" (os error").next().unwrap_or_default().replace("\\\"", "\"")
 }
 
 /// Counts an outcome, and says it when it is another than the last.

@@ -1,6 +1,6 @@
 //! The system's errors about files, in an installer's words and with what to do.
 //!
-//! Owns the words. The file's name, and the consequence, are added by its reader or writer.
+//! Owns the words. Which file it is, and what follows, its reader or writer says.
 
 use std::fmt::{self, Display};
 use std::io::{self, ErrorKind};
@@ -41,7 +41,8 @@ impl Display for Words<'_> {
                 "a file is in its way: move that away, or name another place"
             }
             (ErrorKind::ReadOnlyFilesystem, _) => {
-                "the file system is read-only: name a place that is not, or mount it writable"
+                "the file system is read-only, or the unit makes it so (ReadWritePaths= in `systemctl \
+                 edit verge`): name a place that is not, or mount it writable"
             }
             (ErrorKind::StorageFull | ErrorKind::QuotaExceeded, _) => {
                 "the disk is full: make room, or name another place"

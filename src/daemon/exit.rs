@@ -169,9 +169,9 @@ pub enum Failure {
     OnnxRuntime(String),
     /// A serial line.
     #[error(
-        "serial line {}: {source}; is the node connected and powered, are device and baud right, \
+        "serial line {}: {}; is the node connected and powered, are device and baud right, \
          and does no other program (verge run) hold the line?",
-        device.display()
+        device.display(), disk::unread(source)
     )]
     Serial {
         /// The device.
@@ -208,7 +208,7 @@ impl Failure {
 impl Exit for Failure {
     fn exit_code(&self) -> u8 {
         match self {
-            Self::Config(ConfigError::Read { .. }) => NOINPUT,
+            Self::Config(ConfigError::Read { source, .. }) => unread(source, CONFIG),
             Self::Config(_) | Self::Aggregate(_) => CONFIG,
             Self::Recording(RecordingError::Interval(_)) => CONFIG,
             Self::Recording(_) | Self::DemoFiles { .. } => NOINPUT,
@@ -221,12 +221,15 @@ impl Exit for Failure {
             Self::Device(_) | Self::OnnxRuntime(_) | Self::Page(_) => UNAVAILABLE,
             Self::Broker { .. } | Self::Serial { .. } => UNAVAILABLE,
             Self::Tls(TlsError::Read { .. }) | Self::Model(ModelError::Read { .. }) => NOINPUT,
-            Self::Model(ModelError::Sidecar(SidecarError::Read { .. })) => NOINPUT,
+            Self::Model(ModelError::Sidecar(SidecarError::Read { source, .. })) => {
+                unread(source, DATAERR)
+            }
             Self::Model(_) => DATAERR,
             Self::Locate(LocateError::Read { .. }) => NOINPUT,
             Self::Locate(_) | Self::Tls(_) => DATAERR,
-            Self::Input { .. } | Self::Site(SiteError::Read { .. }) => NOINPUT,
-            Self::Answers(AnswersError::Read { .. }) => NOINPUT,
+            Self::Input { source, .. }
+            | Self::Site(SiteError::Read { source, .. })
+            | Self::Answers(AnswersError::Read { source, .. }) => unread(source, DATAERR),
             Self::Site(_) | Self::Answers(_) | Self::Audit(_) => DATAERR,
             Self::CountedFrame { .. } | Self::NoCounting => DATAERR,
             Self::Messages { .. } | Self::NodeSettings { .. } => DATAERR,
@@ -237,6 +240,11 @@ impl Exit for Failure {
             Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
         }
     }
+}
+
+/// A file that is there and no text is as wrong as its content could be.
+fn unread(source: &std::io::Error, wrong: u8) -> u8 {
+    if source.kind() == std::io::ErrorKind::InvalidData { wrong } else { NOINPUT }
 }
 
 impl From<WriteError> for Failure {

@@ -4,7 +4,7 @@
 //! unless `metrics.file` is given; no socket is opened for it. What is not known is left
 //! out, never 0.
 
-use super::output::{WholeFile, WriteError};
+use super::output::{WholeFile, WriteError, real_place};
 use super::publish::payload::Health;
 use super::publish::window_name;
 use crate::alarm::Alarm;
@@ -12,6 +12,7 @@ use crate::density::{LaneReport, WindowReport};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use verge_messages::{Direction, Status};
@@ -22,6 +23,23 @@ use verge_messages::{Direction, Status};
 pub struct Settings {
     /// The file; nothing is written where it is not given.
     pub file: Option<PathBuf>,
+}
+
+/// Why node_exporter would not find the file, in words.
+pub fn unseen(file: &Path) -> Option<String> {
+    if file.extension().is_none_or(|extension| extension != "prom") {
+        return Some(
+            "node_exporter reads files alone whose names end in .prom: name it so".to_owned(),
+        );
+    }
+    let closed = file.ancestors().skip(1).find(|folder| {
+        std::fs::metadata(folder).is_ok_and(|there| there.permissions().mode() & 0o001 == 0)
+    })?;
+    Some(format!(
+        "{} is closed to other users, as whom node_exporter runs: name a file in an open folder, \
+         /run/verge/verge.prom under systemd",
+        closed.display()
+    ))
 }
 
 /// The file and what goes into it besides the health message.
@@ -36,6 +54,9 @@ pub struct Metrics {
 impl Metrics {
     /// Metrics to that file.
     pub fn new(file: &Path) -> Self {
+        if let Some(why) = unseen(&real_place(file)) {
+            log::warn!("metrics {}: {why}", file.display());
+        }
         Self { file: file.to_owned(), latest: BTreeMap::new(), turn: None, failed: false }
     }
 

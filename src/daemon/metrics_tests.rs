@@ -180,3 +180,33 @@ fn a_file_that_cannot_be_written_stops_nothing() {
     metrics.write(&health(), &[], false);
     assert!(metrics.failed);
 }
+
+#[test]
+fn what_node_exporter_would_not_find_is_told() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mode = |mode| {
+        let mode = std::fs::Permissions::from_mode(mode);
+        std::fs::set_permissions(folder.path(), mode).expect("chmod");
+    };
+    let file = folder.path().join("verge.prom");
+    mode(0o755);
+    assert_eq!(unseen(&file), None);
+    let said = unseen(&folder.path().join("metrics.txt")).expect("another ending");
+    assert!(said.contains(".prom"), "{said}");
+    mode(0o750);
+    assert!(unseen(&file).is_some_and(|said| said.contains("closed to other users")));
+}
+
+#[test]
+fn the_file_is_for_everybody_and_a_link_to_it_stays() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (link, file) = (folder.path().join("link.prom"), folder.path().join("own/verge.prom"));
+    std::fs::create_dir(folder.path().join("own")).expect("made");
+    std::os::unix::fs::symlink("own/verge.prom", &link).expect("a link");
+    for _ in 0..2 {
+        Metrics::new(&link).try_write(&health(), &[], true).expect("written");
+        let there = std::fs::symlink_metadata(&file).expect("where the link leads");
+        assert!(there.is_file() && there.permissions().mode() & 0o777 == 0o644);
+        assert!(std::fs::symlink_metadata(&link).expect("there").is_symlink());
+    }
+}

@@ -35,6 +35,13 @@ pub fn check_place(path: &Path) -> io::Result<()> {
     }
 }
 
+/// The place of a file of this name: behind a link, which stays.
+pub fn real_place(path: &Path) -> PathBuf {
+    let Ok(target) = fs::read_link(path) else { return path.to_owned() };
+    let target = path.parent().unwrap_or(Path::new("")).join(target);
+    fs::canonicalize(path).unwrap_or(target)
+}
+
 /// A file that appears under its name when it is finished.
 #[derive(Debug)]
 pub struct WholeFile {
@@ -50,6 +57,7 @@ impl WholeFile {
     /// # Errors
     /// [`WriteError`], as all that follow.
     pub fn create(path: &Path) -> Result<Self, WriteError> {
+        let path = &real_place(path);
         check_place(path).map_err(|source| WriteError { path: path.to_owned(), source })?;
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(".partial");

@@ -45,9 +45,9 @@ fn check_fixed(path: &Path, running: &Config, new: &Config) -> Result<(), Config
     ] {
         if is != asked {
             let reason = format!(
-                "{asked:?} cannot replace {is:?} while verge runs, for {reason}: restart verge"
+                "\"{asked}\" cannot replace \"{is}\" while verge runs, for {reason}: restart verge"
             );
-            return Err(ConfigError::Value { path: path.to_owned(), key, reason });
+            return Err(ConfigError::Value { path: path.to_owned(), line: None, key, reason });
         }
     }
     Ok(())

@@ -53,7 +53,9 @@ impl<'de> Deserialize<'de> for Site {
             type Value = Site;
 
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("the site's name, or a table with its id and where it is")
+                f.write_str(
+                    "the site's name in quotes, or a section [site] with its id and where it is",
+                )
             }
 
             fn visit_str<E>(self, id: &str) -> Result<Site, E> {
@@ -128,7 +130,8 @@ mod tests {
     }
 
     fn read(text: &str) -> Result<Site, String> {
-        let site = toml::from_str::<File>(text).map_err(|error| error.to_string())?.site;
+        let file: File = crate::daemon::toml_file::parse(text, &[]).map_err(|f| f.to_string())?;
+        let site = file.site;
         site.check().map_err(|(key, reason)| format!("{key}: {reason}"))?;
         Ok(site)
     }
@@ -155,11 +158,11 @@ mod tests {
             "site.latitude: 91: -90 to 90 degrees is right"
         );
         assert_eq!(wrong("latitude = 1"), "site.longitude: is missing beside the latitude");
-        assert!(wrong("lattitude = 1").contains("unknown field `lattitude`"));
+        assert!(wrong("lattitude = 1").contains("do you mean site.latitude?"));
         assert!(wrong("[[site.lanes]]\nlane = 9").contains("site.lanes: lane 9: give 1 to 8"));
         let twice = wrong("[[site.lanes]]\nlane = 1\n[[site.lanes]]\nlane = 1");
         assert_eq!(twice, "site.lanes: lane 1 is there twice");
-        assert!(read("site = 7").expect_err("a number").contains("the site's name, or a table"));
+        assert!(read("site = 7").expect_err("a number").contains("the site's name in quotes, or"));
         assert!(read("site = \"a/b\"").expect_err("a topic").starts_with("site: \"a/b\": give 1"));
     }
 }

@@ -5,6 +5,7 @@
 //! taken as it is: cameras make their own, for no name and long expired.
 
 use super::certificate::End;
+use super::foreign::shown;
 use rustls::client::WebPkiServerVerifier;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::CryptoProvider;
@@ -44,14 +45,16 @@ impl Trust {
     /// The fault of the file.
     pub fn certificates(file: &[u8]) -> Result<Self, String> {
         let pem: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(file).collect();
-        let found = pem.map_err(|error| format!("not certificates in PEM: {error}"))?;
+        let found = pem.map_err(|_| {
+            "a certificate in it is damaged or cut off: copy the file again".to_owned()
+        })?;
         if !found.is_empty() {
             return Ok(Self::Certificates(found));
         }
         if file.first() == Some(&0x30) {
             return Ok(Self::Certificates(vec![CertificateDer::from(file.to_vec())]));
         }
-        Err("no certificate in it (PEM, -----BEGIN CERTIFICATE-----)".to_owned())
+        Err("no certificate is in it, which begins with -----BEGIN CERTIFICATE-----".to_owned())
     }
 
     /// Reads a fingerprint as `openssl x509 -noout -fingerprint -sha256` or a browser shows it.
@@ -138,6 +141,20 @@ impl Verifier {
         Ok(Self { trust: trust.clone(), peer, end: End::default(), authorities, provider })
     }
 
+    /// A signature of the handshake that is not taken. `ring` refuses short keys without a reason of
+    /// their own.
+    fn weak(&self, error: Error) -> Error {
+        let Error::InvalidCertificate(_) = error else { return error };
+        let whose = match self.peer {
+            Peer::Camera => "camera",
+            Peer::Broker => "broker",
+        };
+        Error::General(format!(
+            "the {whose}'s certificate has a key that is not safe today (RSA below 2048 bits), or the \
+             {whose} does not hold its key: make a new key and certificate there (RSA 2048 or P-256)"
+        ))
+    }
+
     /// Whether this very certificate is trusted.
     fn is_pinned(&self, certificate: &CertificateDer<'_>) -> bool {
         match &self.trust {
@@ -195,6 +212,7 @@ impl ServerCertVerifier for Verifier {
     ) -> Result<HandshakeSignatureValid, Error> {
         let known = &self.provider.signature_verification_algorithms;
         rustls::crypto::verify_tls12_signature(message, certificate, signed, known)
+            .map_err(|error| self.weak(error))
     }
 
     fn verify_tls13_signature(
@@ -205,6 +223,7 @@ impl ServerCertVerifier for Verifier {
     ) -> Result<HandshakeSignatureValid, Error> {
         let known = &self.provider.signature_verification_algorithms;
         rustls::crypto::verify_tls13_signature(message, certificate, signed, known)
+            .map_err(|error| self.weak(error))
     }
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
@@ -254,7 +273,7 @@ fn broker_refusal(error: &Error, trust: &Trust, name: &ServerName<'_>) -> String
         "make a new one with `openssl x509 -req ... -extfile <(echo subjectAltName={kind}:{host})`, or \
          name the certificate itself in mqtt.ca_file"
     );
-    let Error::InvalidCertificate(wrong) = error else { return format!("TLS: {error}") };
+    let Error::InvalidCertificate(wrong) = error else { return fault(error) };
     match wrong {
         Wrong::Expired | Wrong::ExpiredContext { .. } => {
             "the broker's certificate has expired: renew it (or is the box's clock wrong?)"
@@ -286,13 +305,64 @@ fn broker_refusal(error: &Error, trust: &Trust, name: &ServerName<'_>) -> String
             "the broker's certificate is one that it made itself: name it in mqtt.ca_file"
                 .to_owned()
         }
-        other => format!("the broker's certificate cannot be taken ({other}): {remedy}"),
+        other => format!("the broker's certificate cannot be taken ({}): {remedy}", named(other)),
     }
+}
+
+/// A fault of TLS that has no remedy of its own.
+pub fn fault(error: &Error) -> String {
+    match error {
+        Error::AlertReceived(alert) => format!("TLS was ended there: {}", named(alert)),
+        Error::InvalidCertificate(wrong) => {
+            format!("the certificate cannot be taken: {}", named(wrong))
+        }
+        Error::PeerMisbehaved(_)
+        | Error::InappropriateMessage { .. }
+        | Error::InappropriateHandshakeMessage { .. } => {
+            "what comes does not follow the rules of TLS: is another service there?".to_owned()
+        }
+        Error::DecryptError => {
+            "what comes cannot be decrypted: is another service there?".to_owned()
+        }
+        other => format!("TLS: {}", shown(&other.to_string())),
+    }
+}
+
+/// The name that TLS has for something, as words: `UnknownCA` is "unknown ca". Of an error inside
+/// another, the innermost.
+fn named(value: &impl std::fmt::Debug) -> String {
+    let text = format!("{value:?}");
+    let outer = text.split([' ', '{']).next().unwrap_or_default().trim_end_matches(')');
+    let name = outer.rsplit('(').next().unwrap_or(outer);
+    let (mut words, mut was_lower) = (String::new(), false);
+    for letter in name.chars() {
+        if letter.is_uppercase() && was_lower {
+            words.push(' ');
+        }
+        was_lower = letter.is_lowercase();
+        words.extend(letter.to_lowercase());
+    }
+    words
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn faults_of_tls_are_words() {
+        use rustls::{AlertDescription as Alert, CertificateError as Wrong, OtherError};
+        let other = Wrong::Other(OtherError(Arc::new(std::fmt::Error)));
+        for (error, said) in [
+            (Error::AlertReceived(Alert::UnknownCA), "TLS was ended there: unknown ca"),
+            (Error::InvalidCertificate(Wrong::BadEncoding), "cannot be taken: bad encoding"),
+            (Error::InvalidCertificate(other), "cannot be taken: error"),
+            (Error::DecryptError, "another service"),
+        ] {
+            let words = fault(&error);
+            assert!(words.contains(said) && !words.contains('('), "{words}");
+        }
+    }
 
     #[test]
     fn fingerprints_as_programs_print_them() {

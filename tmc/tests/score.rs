@@ -109,7 +109,7 @@ fn bad_input_is_said() {
         (format!("{head}2026-01-05T08:00:00Z,1,-2\n"), "\"-2\" is negative"),
         (format!("{head}{0}{0}", "2026-01-05T08:00:00Z,1,2\n"), "line 3"),
         (format!("{head}2020-01-05T08:00:00Z,1,2\n"), "no window and lane in common"),
-        ("{\"schema\":1}\n".into(), "line 1: not a density message: missing field"),
+        ("{\"schema\":1}\n".into(), "line 1: not a density message: site is missing"),
     ] {
         let density = write(folder.path(), "density", &content);
         let args = ["score", "--truth", text(&truth), "--density", text(&density)];

@@ -264,9 +264,9 @@ mod tests {
             ("875.5", "-875.5", "lanes[0].flow_veh_h: -875.5: 0 to 36000 is right"),
             ("36.1", "1e4", "lanes[0].speed_kmh: 10000: 0 to 1000"),
             ("[34.0,", "[39.0,", "lanes[0].speed_ci90[1]: 38.2: 39 to"),
-            ("\"car\":10,", "", "missing field `car`"),
-            ("875.5", "\"many\"", "invalid type: string"),
-            ("\"traffic_status\":\"oK\"", "\"traffic_status\":\"fine\"", "unknown variant"),
+            ("\"car\":10,", "", "car is missing"),
+            ("875.5", "\"many\"", "must be a number, not the text"),
+            ("\"traffic_status\":\"oK\"", "\"traffic_status\":\"fine\"", "\"fine\" is not known"),
         ] {
             assert!(json.contains(from), "{from}");
             let wrong = read(json.replacen(from, to, 1).as_bytes());

@@ -3,7 +3,8 @@
 //! Owns the file, its empty form, and its faults by itself. `fit` decides whether the answers fit
 //! the frames.
 
-use crate::daemon::disk;
+use crate::daemon::foreign::shown;
+use crate::daemon::{disk, plain};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -11,6 +12,8 @@ use std::path::{Path, PathBuf};
 pub const HEADING: &str = "frame,lane,vehicles";
 /// More vehicles than any lane holds in one picture: a slip of the pen.
 const MOST: u32 = 200;
+/// Most bytes of a file.
+const MAX_BYTES: u64 = 16 << 20;
 
 /// Why answers cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -54,7 +57,7 @@ impl Answers {
     /// # Errors
     /// [`AnswersError`] names the line.
     pub fn read(path: &Path, lanes: &[u8]) -> Result<Self, AnswersError> {
-        let text = std::fs::read_to_string(path)
+        let text = plain::read_text(path, MAX_BYTES)
             .map_err(|source| AnswersError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path, lanes)
     }
@@ -77,17 +80,28 @@ impl Answers {
                 line.split([',', ';']).map(|cell| cell.trim().trim_matches('"')).collect();
             if !heading {
                 if cells.join(",") != HEADING {
-                    return Err(wrong(format!("the first line must be {HEADING:?}, is {line:?}")));
+                    return Err(wrong(format!(
+                        "the first line must be {HEADING}, not \"{}\"",
+                        shown(line)
+                    )));
                 }
                 heading = true;
                 continue;
             }
             let &[frame, lane, vehicles] = cells.as_slice() else {
-                return Err(wrong(format!("{line:?} has not the three fields {HEADING}")));
+                return Err(wrong(format!(
+                    "\"{}\" has not the three fields {HEADING}",
+                    shown(line)
+                )));
             };
             let known = lane.parse().ok().filter(|lane| lanes.contains(lane));
             let Some(lane) = known else {
-                return Err(wrong(format!("lane {lane:?} is none of the table's lanes {lanes:?}")));
+                let all: Vec<_> = lanes.iter().map(u8::to_string).collect();
+                return Err(wrong(format!(
+                    "lane \"{}\" is none of the table's lanes {}",
+                    shown(lane),
+                    all.join(", ")
+                )));
             };
             if vehicles.is_empty() {
                 continue;
@@ -95,7 +109,8 @@ impl Answers {
             let count = vehicles.parse().ok().filter(|&count| count <= MOST);
             let Some(count) = count else {
                 return Err(wrong(format!(
-                    "{vehicles:?} vehicles: give a whole number up to {MOST}"
+                    "\"{}\" vehicles: give a whole number up to {MOST}",
+                    shown(vehicles)
                 )));
             };
             if frames.entry(frame.to_owned()).or_default().insert(lane, count).is_some() {
@@ -169,7 +184,7 @@ mod tests {
         for (text, said) in [
             ("a.jpg,1,3\n", "line 1: the first line must be"),
             ("frame,lane,vehicles\na.jpg,1\n", "line 2"),
-            ("frame,lane,vehicles\na.jpg,7,1\n", "none of the table's lanes [1, 2]"),
+            ("frame,lane,vehicles\na.jpg,7,1\n", "none of the table's lanes 1, 2"),
             ("frame,lane,vehicles\na.jpg,1,-2\n", "give a whole number"),
             ("frame,lane,vehicles\na.jpg,1,2.5\n", "give a whole number"),
             ("frame,lane,vehicles\na.jpg,1,9999\n", "give a whole number"),

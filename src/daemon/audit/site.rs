@@ -5,6 +5,8 @@
 
 use crate::daemon::disk;
 use crate::daemon::output::{WholeFile, WriteError};
+use crate::daemon::plain;
+use crate::daemon::toml_file;
 use crate::density::SiteCorrection;
 use crate::wire::hex;
 use serde::{Deserialize, Serialize};
@@ -12,6 +14,8 @@ use std::path::{Path, PathBuf};
 
 /// The format that this program writes and reads.
 pub const FORMAT: u32 = 1;
+/// Most bytes of a file.
+const MAX_BYTES: u64 = 1 << 20;
 
 /// Why a site's file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -75,18 +79,21 @@ impl SiteFile {
     /// # Errors
     /// [`SiteError`] says what is wrong, and what to do.
     pub fn read(path: &Path, line: &MadeWith<'_>) -> Result<Self, SiteError> {
-        let text = std::fs::read_to_string(path)
+        let text = plain::read_text(path, MAX_BYTES)
             .map_err(|source| SiteError::Read { path: path.to_owned(), source })?;
         let wrong = |reason: String| SiteError::Wrong { path: path.to_owned(), reason };
-        let file: Self = toml::from_str(&text)
-            .map_err(|error| wrong(error.to_string().trim_end().to_owned()))?;
+        let file: Self = toml_file::parse(&text, &[])
+            .map_err(|fault| wrong(format!("{fault}; is it a file of `verge audit`?")))?;
         file.check(line).map_err(wrong)?;
         Ok(file)
     }
 
     fn check(&self, line: &MadeWith<'_>) -> Result<(), String> {
         if self.format != FORMAT {
-            return Err(format!("format {} is not known here, only {FORMAT}", self.format));
+            return Err(format!(
+                "it has format {}, this program reads {FORMAT}: update verge, or count the site again",
+                self.format
+            ));
         }
         let again = "count the site again with `verge audit`";
         if self.camera != line.camera {

@@ -95,7 +95,7 @@ pub enum DeviceError {
         timeout: Duration,
     },
     /// A step of streaming failed; the device may be gone.
-    #[error("{}: {step}: {reason}", path.display())]
+    #[error("{}: its driver failed ({step}: {reason}); is the camera still plugged in?", path.display())]
     Stream {
         /// The device.
         path: PathBuf,

@@ -7,12 +7,14 @@
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
 use crate::daemon::clock;
+use crate::daemon::dates::Dates;
 use crate::daemon::disk;
 use crate::daemon::foreign::shown;
 use crate::daemon::frame::Frame;
 use crate::units::UtcMs;
+use std::collections::BTreeSet;
 use std::fs::{self, File};
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -29,7 +31,7 @@ const MOST_STRAYS: (usize, usize) = (10, 2);
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The folder cannot be listed.
-    #[error("cannot list the frames in {}: {}", folder.display(), disk::unread(source))]
+    #[error("cannot list the frames in {}: {}", folder.display(), unlisted(source))]
     List {
         /// The folder.
         folder: PathBuf,
@@ -42,9 +44,34 @@ pub enum RecordingError {
         /// The folder.
         folder: PathBuf,
     },
+    /// The dates in the names can be read in several ways.
+    #[error(
+        "the dates in {} can be read in several ways ({example} is {first}, or {second}), and nothing \
+         else there tells which: say it with --dates day-first, --dates month-first or --dates \
+         year-first", folder.display()
+    )]
+    Dates {
+        /// The folder.
+        folder: PathBuf,
+        /// One of the names.
+        example: String,
+        /// A day that it may mean.
+        first: String,
+        /// Another one.
+        second: String,
+    },
     /// An interval of no time.
     #[error("a time of {} s between frames: give more than 0", .0.as_secs_f64())]
     Interval(Duration),
+}
+
+fn unlisted(source: &std::io::Error) -> String {
+    match source.kind() {
+        ErrorKind::NotADirectory => {
+            "it is a file: name the folder that holds the frames".to_owned()
+        }
+        _ => disk::unread(source).to_string(),
+    }
 }
 
 /// Source of the frames' times.
@@ -79,10 +106,17 @@ impl Recorded {
     /// # Errors
     /// [`RecordingError`] where there is nothing to play.
     pub fn open(folder: &Path, interval: Option<Duration>) -> Result<Self, RecordingError> {
-        Self::open_local(folder, interval, 0)
+        // Whoever asks for no more needs the frames' order and distance rather than their day.
+        match Self::open_local(folder, interval, 0, None) {
+            Err(RecordingError::Dates { .. }) => {
+                Self::open_local(folder, interval, 0, Some(Dates::DayFirst))
+            }
+            opened => opened,
+        }
     }
 
-    /// The same where names without an offset from UTC are `utc_offset_s` ahead of it.
+    /// The same where names without an offset from UTC are `utc_offset_s` ahead of it, and dates that
+    /// do not tell by themselves are read in the order of `dates`, where that is known.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -90,6 +124,7 @@ impl Recorded {
         folder: &Path,
         interval: Option<Duration>,
         utc_offset_s: i32,
+        dates: Option<Dates>,
     ) -> Result<Self, RecordingError> {
         let mut names = Vec::new();
         list(folder, "", 0, &mut names)
@@ -98,7 +133,8 @@ impl Recorded {
             return Err(RecordingError::NoFrames { folder: folder.to_owned() });
         }
         names.sort();
-        let (time_source, times, interval) = times(folder, &names, interval, utc_offset_s)?;
+        let named = named(folder, &names, utc_offset_s, dates)?;
+        let (time_source, times, interval) = times(folder, &names, named, interval)?;
         let strays: Vec<_> = times.iter().zip(&names).filter(|(t, _)| t.is_none()).collect();
         if let Some((_, first)) = strays.first() {
             log::warn!(
@@ -206,17 +242,79 @@ fn are_strays(without: usize, of: usize) -> bool {
     without <= (of * percent / 100).max(least) && without * 2 < of
 }
 
+/// The times in the names. Where dates do not tell by themselves in which order they are to be read,
+/// the folder as a whole may: by a day that no month has, or by days that follow one another.
+fn named(
+    folder: &Path,
+    names: &[String],
+    utc_offset_s: i32,
+    dates: Option<Dates>,
+) -> Result<Vec<Option<UtcMs>>, RecordingError> {
+    let tells = |times: &[Option<UtcMs>]| {
+        are_strays(times.iter().filter(|time| time.is_none()).count(), names.len())
+    };
+    let read = |dates| -> Vec<_> {
+        names.iter().map(|name| timestamp::from_path_in(name, utc_offset_s, dates)).collect()
+    };
+    if let Some(dates) = dates {
+        return Ok(read(dates));
+    }
+    let plain: Vec<_> = names.iter().map(|name| timestamp::from_path(name, utc_offset_s)).collect();
+    if tells(&plain) {
+        return Ok(plain);
+    }
+    let count = |times: &[Option<UtcMs>]| times.iter().flatten().count();
+    let mut readings = Dates::ALL.map(|dates| (dates, read(dates))).to_vec();
+    // A reading that leaves out what another one understands is not that of this folder.
+    let most = readings.iter().map(|(_, times)| count(times)).max().unwrap_or_default();
+    readings.retain(|(_, times)| tells(times) && count(times) == most);
+    if readings.iter().any(|(_, times)| follow(times)) {
+        readings.retain(|(_, times)| follow(times));
+    }
+    readings.dedup_by(|a, b| a.1 == b.1);
+    match readings.as_slice() {
+        [] => Ok(plain),
+        [(dates, times)] => {
+            log::info!("the dates in {} are read {}", folder.display(), dates.words());
+            Ok(times.clone())
+        }
+        [(_, one), (_, other), ..] => {
+            let at =
+                one.iter().zip(other).position(|(one, other)| one != other).unwrap_or_default();
+            Err(RecordingError::Dates {
+                folder: folder.to_owned(),
+                example: shown(&names[at]),
+                first: day(one[at]),
+                second: day(other[at]),
+            })
+        }
+    }
+}
+
+/// Whether there are at least three days, each the next of the one before.
+fn follow(times: &[Option<UtcMs>]) -> bool {
+    const DAY_MS: i64 = 86_400_000;
+    let days: BTreeSet<i64> = times.iter().flatten().map(|t| t.0.div_euclid(DAY_MS)).collect();
+    let span = days.first().zip(days.last()).map_or(0, |(first, last)| last - first + 1);
+    days.len() >= 3 && usize::try_from(span).is_ok_and(|span| span == days.len())
+}
+
+/// A day in words that leave no doubt, as `5 January 2026`.
+fn day(time: Option<UtcMs>) -> String {
+    let time = time.and_then(|time| jiff::Timestamp::from_millisecond(time.0).ok());
+    time.map_or("no date".into(), |time| time.strftime("%-d %B %Y").to_string())
+}
+
 /// The time of every file, `None` for strays; where times come from, and the time between two.
 fn times(
     folder: &Path,
     names: &[String],
+    named: Vec<Option<UtcMs>>,
     interval: Option<Duration>,
-    utc_offset_s: i32,
 ) -> Result<(TimeSource, Vec<Option<UtcMs>>, Duration), RecordingError> {
     if interval.is_some_and(|i| i.is_zero()) {
         return Err(RecordingError::Interval(Duration::ZERO));
     }
-    let named: Vec<_> = names.iter().map(|name| timestamp::from_path(name, utc_offset_s)).collect();
     let without = named.iter().filter(|time| time.is_none()).count();
     let tells = are_strays(without, names.len());
     if interval.is_none() {

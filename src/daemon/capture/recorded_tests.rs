@@ -82,3 +82,45 @@ fn of_file_times_the_rising_ones_count() {
     keep_rising(&mut times);
     assert_eq!(times, [None, time(10), time(20), None, time(30), None]);
 }
+
+#[test]
+fn a_folder_tells_how_its_dates_are_read_or_is_refused() {
+    let first_day = |names: &[&str], dates| {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for name in names {
+            fs::write(folder.path().join(name), b"").expect("a file");
+        }
+        let recorded = Recorded::open_local(folder.path(), None, 0, dates);
+        recorded.map(|recorded| day(Some(recorded.files[0].2)))
+    };
+    let at = |date: &str| format!("{date}_08-00-00.jpg");
+    let (one, two) = (at("05-01-2026"), "05-01-2026_08-00-10.jpg");
+    let error = first_day(&[&one, two], None).expect_err("nothing tells").to_string();
+    for word in ["5 January 2026", "1 May 2026", "--dates day-first"] {
+        assert!(error.contains(word), "{error}");
+    }
+    for (dates, expected) in
+        [(Dates::DayFirst, "5 January 2026"), (Dates::MonthFirst, "1 May 2026")]
+    {
+        assert_eq!(first_day(&[&one, two], Some(dates)).expect("told"), expected);
+    }
+    // A day that no month has, anywhere in the folder.
+    let (names, day_first) = ([&*one, &at("13-01-2026")], "5 January 2026");
+    assert_eq!(first_day(&names, None).expect("one way"), day_first);
+    let names = [&*at("01-05-2026"), &at("01-13-2026")];
+    assert_eq!(first_day(&names, None).expect("one way"), day_first);
+    // Days that follow one another.
+    let names = [&*one, &at("06-01-2026"), &at("07-01-2026")];
+    assert_eq!(first_day(&names, None).expect("one way"), day_first);
+    // The same either way.
+    let (one, two) = (at("05-05-2026"), "05-05-2026_08-00-10.jpg");
+    assert_eq!(first_day(&[&one, two], None).expect("one day"), "5 May 2026");
+    // Two digits of the year: no camera wrote in 2005.
+    let names = ["image26-01-05_08-00-00-25.jpg", "image26-01-05_08-00-10-25.jpg"];
+    assert_eq!(first_day(&names, None).expect("one way"), day_first);
+    let names = [&*at("26-01-12"), "26-01-12_08-00-10.jpg"];
+    assert!(first_day(&names, None).is_err(), "of 2026, or of 2012");
+    // Who needs no day gets the frames all the same.
+    let (_folder, recorded) = recording(&["05-01-2026_08-00-00.jpg", "05-01-2026_08-00-10.jpg"]);
+    assert_eq!((recorded.interval(), recorded.frames()), (Duration::from_secs(10), 2));
+}

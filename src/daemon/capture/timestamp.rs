@@ -4,7 +4,10 @@
 //! second and what follows it, with the separators that programs put between them; seconds or
 //! milliseconds since 1970; and folders by day with the time of day in the name. An offset from
 //! UTC counts where the name has one; without it the time is UTC, unless the caller knows better.
+//! Dates that can be read in more than one way (05-01-2026, 26-01-05) are read in the order that
+//! the caller asks for, and not without.
 
+use crate::daemon::dates::Dates;
 use crate::units::UtcMs;
 use jiff::civil;
 use jiff::tz::Offset;
@@ -12,11 +15,23 @@ use jiff::tz::Offset;
 /// The largest offset from UTC that a place has had, s.
 const MAX_OFFSET_S: i32 = 18 * 3600;
 
+/// The time in `path`, where its date can be read in one way alone, or where it is read in the order
+/// of `dates`. Otherwise as [`from_path`].
+pub fn from_path_in(path: &str, local_s: i32, dates: Dates) -> Option<UtcMs> {
+    let name = path.rsplit('/').next().unwrap_or(path);
+    let ordered = |bytes: &[u8]| stamp(bytes, |rest| short_date(rest, dates));
+    from_path(path, local_s).or_else(|| {
+        let stamp = find(name, ordered).or_else(|| by_day(path, |rest| short_date(rest, dates)))?;
+        stamp.time(local_s)
+    })
+}
+
 /// The time in `path`, relative and with `/` between folders. `local` is the offset from UTC of
 /// names that state none, s.
 pub fn from_path(path: &str, local_s: i32) -> Option<UtcMs> {
     let name = path.rsplit('/').next().unwrap_or(path);
-    let stamp = find(name, stamp).or_else(|| find(path, stamp)).or_else(|| by_day(path));
+    let whole = |bytes: &[u8]| stamp(bytes, date);
+    let stamp = find(name, whole).or_else(|| find(path, whole)).or_else(|| by_day(path, date));
     match stamp {
         Some(stamp) => stamp.time(local_s),
         None => find(name, since_1970),
@@ -59,7 +74,7 @@ impl Stamp {
     }
 }
 
-fn stamp(bytes: &[u8]) -> Option<Stamp> {
+fn stamp(bytes: &[u8], date: impl Fn(&mut &[u8]) -> Option<civil::Date>) -> Option<Stamp> {
     let mut rest = bytes;
     let date = date(&mut rest)?;
     let between = rest;
@@ -91,6 +106,43 @@ fn date(rest: &mut &[u8]) -> Option<civil::Date> {
     let month = number(rest, 2)?;
     skip(rest, b"-_.:/");
     whole_date(year, month, number(rest, 2)?)
+}
+
+/// The first year that a date of two digits can have: no recording to measure is older.
+const FIRST_YEAR: i32 = 2010;
+
+/// Three numbers with one kind of separator between them, in the order of `dates`; day and month may
+/// have one digit beside a whole year, as in 1-5-2026.
+fn short_date(rest: &mut &[u8], dates: Dates) -> Option<civil::Date> {
+    let first = up_to_two(rest)?;
+    let separator = *rest.first().filter(|byte| b"-_./ ".contains(byte))?;
+    skip(rest, &[separator]);
+    let second = up_to_two(rest)?;
+    if rest.first() != Some(&separator) {
+        return None;
+    }
+    skip(rest, &[separator]);
+    let digits = rest.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let third = number(rest, if digits >= 4 { 4 } else { 2 })?;
+    let whole = |(number, digits): (i32, usize)| (digits == 2).then_some(number);
+    let (year, month, day) = match (dates, digits) {
+        (Dates::DayFirst, 4) => (third, second.0, first.0),
+        (Dates::MonthFirst, 4) => (third, first.0, second.0),
+        (Dates::YearFirst, 2) => (2000 + whole(first)?, whole(second)?, third),
+        (Dates::DayFirst, 2) => (2000 + third, whole(second)?, whole(first)?),
+        (Dates::MonthFirst, 2) => (2000 + third, whole(first)?, whole(second)?),
+        _ => return None,
+    };
+    whole_date(year, month, day).filter(|_| year >= FIRST_YEAR)
+}
+
+/// One or two digits, and how many.
+fn up_to_two(rest: &mut &[u8]) -> Option<(i32, usize)> {
+    let digits = rest.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    if !(1..=2).contains(&digits) {
+        return None;
+    }
+    Some((number(rest, digits)?, digits))
 }
 
 fn whole_date(year: i32, month: i32, day: i32) -> Option<civil::Date> {
@@ -216,7 +268,7 @@ fn read_offset(rest: &mut &[u8], minus: bool) -> Option<i32> {
 }
 
 /// A day in a folder's name, or in three, and a time of day behind it.
-fn by_day(path: &str) -> Option<Stamp> {
+fn by_day(path: &str, date: impl Fn(&mut &[u8]) -> Option<civil::Date>) -> Option<Stamp> {
     let starts = std::iter::once(0).chain(path.match_indices('/').map(|(at, _)| at + 1));
     for start in starts {
         let mut rest = &path.as_bytes()[start..];
@@ -236,11 +288,25 @@ fn by_day(path: &str) -> Option<Stamp> {
                 if separated { time_of_day(date, &mut rest, false) } else { None }
             })
         };
-        if let Some(stamp) = at_part.into_iter().next().or_else(in_name) {
-            return Some(stamp);
+        // The name tells most: folders may stand for the hour as well, as in 08/08.00.00.jpg.
+        let stamp =
+            in_name().or_else(|| at_part.into_iter().next()).or_else(|| by_hour(date, behind));
+        if stamp.is_some() {
+            return stamp;
         }
     }
     None
+}
+
+/// A folder by hour, and minute and second in the name, whatever stands between: `08/camera/00.05.jpg`.
+fn by_hour(date: civil::Date, behind: &str) -> Option<Stamp> {
+    let (folders, name) = behind.rsplit_once('/')?;
+    let (hour, _) = folders.split_once('/').unwrap_or((folders, ""));
+    let name = name.split_once('.').map_or(name, |_| name.rsplit_once('.').map_or(name, |n| n.0));
+    let bytes = format!("{hour}-{name}").into_bytes();
+    let mut rest = bytes.as_slice();
+    let separated = bytes.len() == 8 && bytes[2] == b'-' && !bytes[5].is_ascii_digit();
+    if separated { time_of_day(date, &mut rest, false).filter(|_| rest.is_empty()) } else { None }
 }
 
 /// Seconds since 1970, with milliseconds behind a dot, or milli-, micro- or nanoseconds: the years 2001
@@ -286,6 +352,45 @@ fn number(rest: &mut &[u8], digits: usize) -> Option<i32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_of_cameras_and_recorders() {
+        for (path, order) in [
+            ("192.168.1.64_01_20260105080000250_MOTION_DETECTION.jpg", None), // Hikvision
+            ("NVR_ch1_20260105080000_E.jpg", None),
+            ("192.168.1.108_ch1_20260105080000_E.jpg", None), // Dahua
+            ("cam/2026-01-05/001/jpg/08/00/00[R][0@0][0].jpg", None),
+            ("cam/2026-01-05/pic_001/08.00.00[M][0@0][0].jpg", None),
+            ("SD/2026-01-05/001/jpg/08/08.00.00[M][0@0][0].jpg", None),
+            ("20260105_08/20260105_080000_A1B2.jpg", None), // Axis
+            ("image26-01-05_08-00-00-25.jpg", Some(Dates::YearFirst)),
+            ("Driveway_00_20260105080000.jpg", None), // Reolink
+            ("RecM01_DST20260105_080000_080010_6D28C08.jpg", None),
+            ("1-20260105080000-03.jpg", None),    // motion
+            ("Cam1.20260105_080000.1.jpg", None), // Blue Iris
+            ("Cam1.2026-01-05 08.00.00.250.3-1.jpg", None),
+            ("front-1767600000.250123-x4k2.jpg", None), // Frigate
+            ("2026-01-05/08/front/00.00.jpg", None),
+            ("Front 1-5-2026, 8.00.00 AM.jpg", Some(Dates::MonthFirst)), // UniFi
+            ("05-01-2026_08-00-00.jpg", Some(Dates::DayFirst)),
+            ("cam 05_01_2026 08_00_00.jpg", Some(Dates::DayFirst)),
+            ("01-05-2026/08-00-00.jpg", Some(Dates::MonthFirst)),
+            ("05/01/2026/08/00/00.jpg", Some(Dates::DayFirst)),
+            ("05-01-26_08-00-00.jpg", Some(Dates::DayFirst)),
+            ("01-05-26_08-00-00.jpg", Some(Dates::MonthFirst)),
+        ] {
+            let read = order.map_or(from_path(path, 0), |order| from_path_in(path, 0, order));
+            let second = read.map(|time| UtcMs(time.0 - time.0 % 1000));
+            assert_eq!(second, Some(UtcMs(EIGHT)), "{path}");
+            assert!(order.is_none() || from_path(path, 0).is_none(), "{path} tells by itself");
+        }
+        // Neither numbers of other kinds, nor dates of an age without such cameras.
+        for path in ["cam-192.168.1.64-12-30-45.jpg", "1-2-3-4-5-6.jpg", "05-01-09_08-00-00.jpg"] {
+            for order in Dates::ALL {
+                assert_eq!(from_path_in(path, 0, order), None, "{path} {order:?}");
+            }
+        }
+    }
 
     /// 2026-01-05 08:00:00 UTC.
     const EIGHT: i64 = 1_767_600_000_000;

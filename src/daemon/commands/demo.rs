@@ -32,8 +32,14 @@ pub fn run() -> Result<(), Failure> {
     let model = places::find(Path::new(""), DEFAULT_MODEL.as_ref());
     let settings = LineSettings::recorded(recording.table.as_ref(), &model);
     let windows = WindowSettings::recorded(WINDOW);
-    let (recorded, mut line, windows) =
-        open_recording(&settings, &windows, recording.frames.as_ref(), None, 0, DEFAULT_TOP_KMH)?;
+    let (recorded, mut line, windows) = open_recording(
+        &settings,
+        &windows,
+        recording.frames.as_ref(),
+        None,
+        (0, None),
+        DEFAULT_TOP_KMH,
+    )?;
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
         .map_err(|e| Failure::Internal(e.to_string()))?;

@@ -1,8 +1,11 @@
 //! `verge node`: an I/O node's settings and counters over its serial line.
 
 use crate::daemon::exit::Failure;
+use crate::daemon::foreign::shown;
+use crate::daemon::plain;
 use crate::daemon::serial::{DEFAULT_BAUD, SerialLine};
-use crate::lane::Name;
+use crate::daemon::toml_file;
+use crate::lane::{MAX_NAME, Name};
 use crate::node::protocol::{read_answer, write_request};
 use crate::node::{Answer, MAX_OUTPUTS, Output, Request, Settings};
 use crate::units::LaneId;
@@ -12,6 +15,9 @@ use std::time::Duration;
 
 /// Longest wait for an answer: 256 bytes take 0.3 s at 9,600 baud.
 const ANSWER_LIMIT: Duration = Duration::from_secs(2);
+
+/// Most bytes of a file of settings.
+const MAX_SETTINGS: u64 = 1 << 20;
 
 /// Its arguments.
 #[derive(Debug, clap::Args)]
@@ -107,15 +113,17 @@ fn toml_of(value: &impl Serialize) -> String {
 }
 
 fn read(path: &Path) -> Result<Settings, Failure> {
-    let text = std::fs::read_to_string(path)
+    let text = plain::read_text(path, MAX_SETTINGS)
         .map_err(|source| Failure::Input { path: path.to_owned(), source })?;
     parse(&text).map_err(|reason| Failure::NodeSettings { path: Some(path.to_owned()), reason })
 }
 
 fn parse(text: &str) -> Result<Settings, String> {
-    let file: File = toml::from_str(text).map_err(|error| error.to_string())?;
-    let site = Name::try_from(file.site.as_str())
-        .map_err(|_| format!("site {:?} is longer than a site's name can be", file.site))?;
+    let file: File = toml_file::parse(text, &[]).map_err(|fault| fault.to_string())?;
+    let site = Name::try_from(file.site.as_str()).map_err(|_| {
+        let site = shown(&file.site);
+        format!("site \"{site}\" is longer than a site's name can be, {MAX_NAME} bytes")
+    })?;
     let mut settings =
         Settings { site, window_s: file.window_s, hold_s: file.hold_s, ..Settings::default() };
     for output in file.outputs {
@@ -176,7 +184,7 @@ mod tests {
             ("lane = 1", "lane = 0", "output 2: lane 0 is outside 1 to 8"),
             ("off_veh_km = 30.0", "off_veh_km = 50.0", "output 2: off_veh_km must be below"),
             ("hold_s = 150", "hold_s = 30", "hold_s must be"),
-            ("lane = 1", "line = 1", "unknown field `line`"),
+            ("lane = 1", "line = 1", "output.line is not known"),
         ] {
             let error = parse(&FILE.replace(from, to)).expect_err("a wrong file");
             assert!(error.contains(expected), "{error}");

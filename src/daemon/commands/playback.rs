@@ -147,8 +147,9 @@ impl Player {
     }
 
     fn note(&mut self, fault: &Failure) {
-        let fault = fault.to_string();
-        log::warn!("frame {} is left out: {fault}", self.frame.name);
+        let (name, fault) = (&self.frame.name, fault.to_string());
+        let what = fault.strip_prefix(&format!("{name}: ")).unwrap_or(&fault);
+        log::warn!("frame {name} is left out: {what}");
         self.first_fault.get_or_insert(fault);
     }
 

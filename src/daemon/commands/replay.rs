@@ -4,6 +4,7 @@ use super::playback::{Played, play};
 use super::{ModelArgs, text};
 use crate::daemon::assemble::open_recording;
 use crate::daemon::config::Views;
+use crate::daemon::dates::Dates;
 use crate::daemon::exit::Failure;
 use crate::daemon::frame::Frame;
 use crate::daemon::line::{Line, LineSettings};
@@ -45,6 +46,9 @@ pub struct Args {
     /// Offset from UTC of times in names that state none, as +01:00
     #[arg(long, value_name = "OFFSET", value_parser = utc_offset, default_value = "Z", allow_hyphen_values = true)]
     utc_offset: i32,
+    /// Order of ambiguous dates in names [default: as the folder's names tell together]
+    #[arg(long, value_enum)]
+    dates: Option<Dates>,
     /// Searched parts of a picture
     #[arg(long, value_enum, default_value_t)]
     views: Views,
@@ -79,7 +83,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         &windows,
         &args.frames,
         interval,
-        args.utc_offset,
+        (args.utc_offset, args.dates),
         args.top_speed,
     )?;
     if let Following::TooSeldom { .. } | Following::TooShort { .. } = line.following() {

@@ -1,6 +1,6 @@
 //! `verge run`: measures and publishes until it is stopped.
 //!
-//! Owns the loop and the signals; `running` does the work of a turn.
+//! Owns the loop and the signals; what a turn does is `running`'s.
 
 use crate::daemon::assemble::Assembly;
 use crate::daemon::board::Driven;
@@ -33,7 +33,7 @@ where
     let mut notify = Notify::from_environment();
     let mut board = Driven::new(board);
     let opened = Assembly::of(&config)?.open(&config)?;
-    log::info!("site {}: measuring every {:?}", config.site.id, config.interval());
+    log::info!("site {}: measuring every {} s", config.site.id, config.camera.interval_s);
     let mut running = Running::new(config, opened);
     let (mut next, mut ready) = (Instant::now(), false);
     let mut outcome = Ok(());

@@ -19,7 +19,10 @@ impl Config {
         known(
             self.mqtt.root.as_deref().is_none_or(plain),
             "mqtt.root",
-            format!("{:?}: give a topic without + #", self.mqtt.root),
+            format!(
+                "\"{}\": give a topic without + #",
+                shown(self.mqtt.root.as_deref().unwrap_or_default())
+            ),
         )?;
         if let Some(reason) = self.camera.impossible() {
             return Err(("camera.source", reason));
@@ -55,7 +58,10 @@ impl Config {
         known(
             self.traffic.sections().count() == self.traffic.section_m.len(),
             "traffic.section_m",
-            format!("{:?}: give lanes as 1 to {MAX_LANES}", self.traffic.section_m),
+            {
+                let lanes: Vec<_> = self.traffic.section_m.keys().map(|lane| shown(lane)).collect();
+                format!("lanes {}: give numbers from 1 to {MAX_LANES}", lanes.join(", "))
+            },
         )?;
         known(
             self.lane_table.presets.is_empty() || self.camera.watch,
@@ -65,13 +71,19 @@ impl Config {
         known(
             self.model.score.is_none_or(|score| (0.0..=1.0).contains(&score)),
             "model.score",
-            format!("{:?}: give 0 to 1", self.model.score),
+            format!("{}: give 0 to 1", self.model.score.unwrap_or_default()),
         )?;
         let assistant = &self.home_assistant;
         known(
-            plain(&assistant.prefix),
+            plain(&assistant.prefix)
+                && is_plain(&assistant.prefix)
+                && !assistant.prefix.starts_with(['/', '$', ' '])
+                && !assistant.prefix.ends_with(['/', ' ']),
             "home_assistant.prefix",
-            format!("{:?}: give a topic without + #", assistant.prefix),
+            format!(
+                "\"{}\": give a topic without + #, blanks or / at its ends, and no $ in front",
+                shown(&assistant.prefix)
+            ),
         )?;
         known(
             !assistant.discovery || self.mqtt.format == Format::Json,
@@ -97,7 +109,14 @@ impl Config {
         known(
             self.serial.window_s.is_none_or(|length| self.windows.lengths_s.contains(&length)),
             "serial.window_s",
-            format!("{:?} s: give one of windows.lengths_s", self.serial.window_s),
+            {
+                let lengths: Vec<_> = self.windows.lengths_s.iter().map(u64::to_string).collect();
+                format!(
+                    "{} s: give one of windows.lengths_s ({})",
+                    self.serial.window_s.unwrap_or_default(),
+                    lengths.join(", ")
+                )
+            },
         )?;
         known(
             (1200..=921_600).contains(&self.serial.baud),
@@ -145,7 +164,7 @@ impl Config {
             ));
         }
         if let Some(what) = odd_host(&self.mqtt.host) {
-            return Err(("mqtt.host", format!("{:?}: {what}", shown(&self.mqtt.host))));
+            return Err(("mqtt.host", format!("\"{}\": {what}", shown(&self.mqtt.host))));
         }
         let root = self.mqtt.root.as_deref().unwrap_or_default();
         for (key, text) in [("site", self.site.id.as_str()), ("mqtt.root", root)] {
@@ -163,7 +182,10 @@ impl Config {
         if root.starts_with(['/', '$']) || root.ends_with('/') {
             return Err((
                 "mqtt.root",
-                format!("{root:?}: no / at its ends, and no $ in front, which is the broker's own"),
+                format!(
+                    "\"{}\": no / at its ends, and no $ in front, which is the broker's own",
+                    shown(root)
+                ),
             ));
         }
         if self.mqtt.password_file.is_some() && self.mqtt.user.is_none() {

@@ -4,6 +4,7 @@
 //! test holds the two together.
 
 mod check;
+pub(in crate::daemon) mod example;
 mod secrets;
 mod sections;
 mod signed;
@@ -14,13 +15,14 @@ pub use sections::{
     Views, Windows,
 };
 
-use crate::daemon::address::{Address, AddressError, veiled};
+use crate::daemon::address::{Address, AddressError};
 use crate::daemon::disk;
 use crate::daemon::places;
 use crate::daemon::plain;
 use crate::daemon::publish::TlsFiles;
 use crate::daemon::road_file;
 use crate::daemon::serial::SerialSettings;
+use crate::daemon::toml_file;
 use crate::daemon::trust::Trust;
 use secrets::{private, secret};
 use serde::Deserialize;
@@ -30,6 +32,8 @@ use std::time::Duration;
 
 /// Most bytes of a configuration.
 const MAX_BYTES: u64 = 1 << 20;
+/// Most bytes of a file of certificates: bundles of all public authorities have a quarter of it.
+const MAX_CERTIFICATES: u64 = 1 << 20;
 
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -42,7 +46,7 @@ pub enum ConfigError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// It does not parse.
+    /// It is no configuration.
     #[error("configuration {}: {reason}", path.display())]
     Parse {
         /// The file.
@@ -51,10 +55,12 @@ pub enum ConfigError {
         reason: String,
     },
     /// A value is out of its range.
-    #[error("configuration {}: {key}: {reason}", path.display())]
+    #[error("configuration {}: {}{key}: {reason}", path.display(), in_line(*line))]
     Value {
         /// The file.
         path: PathBuf,
+        /// The line of the key; `None`: its default is wrong beside others.
+        line: Option<usize>,
         /// The key.
         key: &'static str,
         /// The fault, and what would be right.
@@ -132,15 +138,7 @@ impl Config {
     /// [`ConfigError`] names file, key and reason.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let unread = |source| ConfigError::Read { path: path.to_owned(), source };
-        let text = plain::read(path, MAX_BYTES).map_err(unread)?;
-        let text = String::from_utf8(text).map_err(|error| {
-            let good = error.utf8_error().valid_up_to();
-            let line = 1 + error.as_bytes()[..good].iter().filter(|&&byte| byte == b'\n').count();
-            ConfigError::Parse {
-                path: path.to_owned(),
-                reason: format!("line {line} is not UTF-8: save the file as UTF-8"),
-            }
-        })?;
+        let text = plain::read_text(path, MAX_BYTES).map_err(unread)?;
         let writable = writable_by_others(path).map_err(unread)?;
         if let Some(mode) = writable {
             return Err(ConfigError::Parse {
@@ -152,28 +150,30 @@ impl Config {
         if let Some(trusted) = &trusted {
             trusted.check(path, text.as_bytes())?;
         }
-        let mut config: Self = toml::from_str(&text).map_err(|error| ConfigError::Parse {
+        let mut config = Self::parse(&text)
+            .map_err(|reason| ConfigError::Parse { path: path.to_owned(), reason })?;
+        let wrong = |key, reason| ConfigError::Value {
             path: path.to_owned(),
-            reason: veiled(error.to_string().trim_end()),
-        })?;
-        config.check().map_err(|(key, reason)| ConfigError::Value {
-            path: path.to_owned(),
+            line: toml_file::line_of(&text, key),
             key,
             reason,
-        })?;
+        };
+        config.check().map_err(|(key, reason)| wrong(key, reason))?;
         let is_like_a_host = config.camera.is_like_a_host();
         config.resolve(path.parent().unwrap_or(Path::new("")));
         if is_like_a_host && !Path::new(&config.camera.source).exists() {
-            return Err(ConfigError::Value {
-                path: path.to_owned(),
-                key: "camera.source",
-                reason: sections::NEITHER.to_owned(),
-            });
+            return Err(wrong("camera.source", sections::NEITHER.to_owned()));
         }
         if let Some(trusted) = trusted {
             config.signed_files().try_for_each(|file| trusted.check_file(&file))?;
         }
         Ok(config)
+    }
+
+    /// The configuration that a text is, its values not checked yet.
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        let known = example::names();
+        toml_file::parse(text, &known).map_err(|fault| fault.to_string())
     }
 
     /// The files that change what is counted, beside the configuration itself. The model's sidecar
@@ -182,6 +182,23 @@ impl Config {
         let tables = &self.lane_table;
         let tables = std::iter::once(&tables.file).chain(&tables.presets).chain(&tables.audit);
         std::iter::once(self.model.file.with_extension("toml")).chain(tables.cloned())
+    }
+
+    /// The files and folders that it names and that are read.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let (camera, mqtt, tables) = (&self.camera, &self.mqtt, &self.lane_table);
+        let folder = PathBuf::from(&camera.source);
+        let of_camera = [&camera.password_file, &camera.ca_file];
+        let of_broker =
+            [&mqtt.password_file, &mqtt.ca_file, &mqtt.certificate_file, &mqtt.key_file];
+        let options = of_camera.into_iter().chain(of_broker).chain([&tables.audit]);
+        [&self.model.file, &tables.file]
+            .into_iter()
+            .chain(&tables.presets)
+            .chain(options.flatten())
+            .cloned()
+            .chain((camera.kind() == SourceKind::Folder).then_some(folder))
+            .collect()
     }
 
     /// The camera's user and password.
@@ -213,11 +230,12 @@ impl Config {
         let Camera { ca_file, fingerprint, .. } = &self.camera;
         let wrong = |key, reason| ConfigError::Camera { key, reason };
         if let Some(path) = ca_file {
-            let file = std::fs::read(path).map_err(|error| ConfigError::Secret {
-                key: "camera.ca_file",
-                path: path.clone(),
-                reason: error.to_string(),
-            })?;
+            let file =
+                plain::read(path, MAX_CERTIFICATES).map_err(|error| ConfigError::Secret {
+                    key: "camera.ca_file",
+                    path: path.clone(),
+                    reason: disk::unread(&error).to_string(),
+                })?;
             let reason = |reason| wrong("camera.ca_file", format!("{}: {reason}", path.display()));
             return Trust::certificates(&file).map_err(reason);
         }
@@ -314,6 +332,10 @@ impl Config {
                 folder.join(self.camera.source.trim()).to_string_lossy().into_owned();
         }
     }
+}
+
+fn in_line(line: Option<usize>) -> String {
+    line.map_or(String::new(), |line| format!("line {line}: "))
 }
 
 /// The mode of a file that everybody may write.

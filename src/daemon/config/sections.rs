@@ -1,6 +1,7 @@
 //! The sections of the configuration with their keys and defaults.
 
 use crate::daemon::address::Address;
+use crate::daemon::foreign::shown;
 use crate::daemon::serial::DEFAULT_BAUD;
 use crate::track::rate::DEFAULT_TOP_KMH;
 use crate::units::LaneId;
@@ -105,7 +106,10 @@ impl std::str::FromStr for NetInput {
         });
         match text {
             "auto" => Ok(Self::Auto),
-            _ => size.ok_or(format!("{text:?}: give auto, or columns and rows such as 800x608")),
+            _ => {
+                let text = shown(text);
+                size.ok_or(format!("\"{text}\": give auto, or columns and rows such as 800x608"))
+            }
         }
     }
 }
@@ -264,7 +268,9 @@ pub enum SourceKind {
 
 /// The fault of a source that nothing can open.
 pub(super) const NEITHER: &str = "it is neither an address nor a folder: a camera's begins with http://, \
-    https://, mjpeg+http://, mjpeg+https://, rtsp:// or rtsps://";
+    https://, mjpeg+http://, mjpeg+https://, rtsp:// or rtsps://, one at the box with /dev/";
+/// The beginning of [`NEITHER`].
+const NO_SOURCE: &str = "it is neither an address nor a folder: ";
 
 impl Camera {
     /// The kind of the source.
@@ -283,7 +289,12 @@ impl Camera {
         let first = source.split('/').next().unwrap_or_default();
         let has_dots = first.trim_matches('.').contains('.') && !first.starts_with('.');
         let is_scheme = ["http", "https", "rtsp"].iter().any(|one| first.eq_ignore_ascii_case(one));
-        self.kind() == SourceKind::Folder && (source.starts_with("//") || has_dots || is_scheme)
+        // As other programs number cameras at the box.
+        let number = source.strip_prefix("video").unwrap_or(source);
+        let is_number =
+            (1..=2).contains(&number.len()) && number.bytes().all(|b| b.is_ascii_digit());
+        let is_none = source.starts_with("//") || has_dots || is_scheme || is_number;
+        self.kind() == SourceKind::Folder && is_none
     }
 
     /// The fault of a source that nothing can open.
@@ -292,6 +303,9 @@ impl Camera {
             SourceKind::Network => Address::parse(&self.source).err().map(|e| e.to_string()),
             SourceKind::Device => None,
             SourceKind::Folder => {
+                if self.source.trim().is_empty() {
+                    return Some(format!("it is empty; {}", NEITHER.trim_start_matches(NO_SOURCE)));
+                }
                 let first = self.source.trim().split(['/', '?']).next().unwrap_or_default();
                 let name = first.split(':').next().unwrap_or_default();
                 let is_host = name.parse::<std::net::IpAddr>().is_ok()

@@ -6,12 +6,18 @@
 //! `minisign-verify`.
 
 use super::ConfigError;
+use crate::daemon::{disk, plain};
 use minisign_verify::{PublicKey, Signature};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// Names the file of the public key.
 const VARIABLE: &str = "VERGE_TRUSTED_KEY";
+
+/// Most bytes of a key or a signature.
+const MAX_BYTES: u64 = 1 << 16;
+/// Most bytes of a signed file: lane tables are the largest.
+const MAX_SIGNED: u64 = 256 << 20;
 
 /// The key that files must be signed with.
 pub(super) struct Trusted {
@@ -30,18 +36,19 @@ impl Trusted {
             path: path.clone(),
             reason: format!("{reason}; {VARIABLE} must name a public key of minisign"),
         };
-        let text = std::fs::read_to_string(&path).map_err(|error| wrong(error.to_string()))?;
+        let text = plain::read_text(&path, MAX_BYTES)
+            .map_err(|error| wrong(disk::unread(&error).to_string()))?;
         let key = PublicKey::decode(text.trim())
             .or_else(|_| PublicKey::from_base64(text.trim()))
-            .map_err(|error| wrong(error.to_string()))?;
+            .map_err(|_| wrong("it is no such key".to_owned()))?;
         Ok(Some(Self { key }))
     }
 
     /// Whether a file is as it was signed.
     pub(super) fn check_file(&self, path: &Path) -> Result<(), ConfigError> {
-        let read = std::fs::read(path).map_err(|error| ConfigError::Signature {
+        let read = plain::read(path, MAX_SIGNED).map_err(|error| ConfigError::Signature {
             path: path.to_owned(),
-            reason: error.to_string(),
+            reason: disk::unread(&error).to_string(),
         })?;
         self.check(path, &read)
     }
@@ -52,20 +59,26 @@ impl Trusted {
         name.push(".minisig");
         let beside = PathBuf::from(name);
         let wrong = |reason: String| ConfigError::Signature { path: path.to_owned(), reason };
-        let signature = std::fs::read_to_string(&beside).map_err(|error| {
+        let signature = plain::read_text(&beside, MAX_BYTES).map_err(|error| {
             wrong(format!(
-                "no signature, {}: {error}; sign it with `minisign -Sm`",
+                "no signature, {}: {}; sign it with `minisign -Sm`",
+                beside.display(),
+                disk::unread(&error)
+            ))
+        })?;
+        let signature = Signature::decode(signature.trim_end()).map_err(|_| {
+            wrong(format!(
+                "{} is no signature of minisign: sign it again with `minisign -Sm`",
                 beside.display()
             ))
         })?;
-        let signature = Signature::decode(signature.trim_end())
-            .map_err(|error| wrong(format!("{} is not a signature: {error}", beside.display())))?;
         // Not the old form, which holds the whole file in memory.
-        self.key.verify(bytes, &signature, false).map_err(|error| {
-            wrong(format!(
-                "it is not what was signed, or another key signed it ({error}); the one before \
-                 stays in force where there is one"
-            ))
+        self.key.verify(bytes, &signature, false).map_err(|_| {
+            wrong(
+                "it is not what was signed, or another key signed it: sign it again with `minisign \
+                 -Sm`; the one before stays in force where there is one"
+                    .to_owned(),
+            )
         })
     }
 }

@@ -4,7 +4,7 @@ use super::*;
 const EXAMPLE: &str = include_str!("../../../boards/linux/verge.toml");
 
 fn parse(text: &str) -> Result<Config, String> {
-    let config: Config = toml::from_str(text).map_err(|error| error.to_string())?;
+    let config = Config::parse(text)?;
     config.check().map_err(|(key, reason)| format!("{key}: {reason}"))?;
     Ok(config)
 }
@@ -64,6 +64,7 @@ fn wrong_keys_and_values_are_named() {
         ("#ca_file =", "ca_file =", "mqtt.tls"),
         ("http://127.0.0.1:8080/", "rtmp://127.0.0.1/", "\"rtmp://\" is not supported"),
         ("http://127.0.0.1:8080/", "127.0.0.1/", "neither an address nor a folder"),
+        ("http://127.0.0.1:8080/snapshot.jpg", " ", "it is empty; a camera's begins with"),
         ("http://127.0.0.1:8080/", "http://::1:8080/", "in brackets"),
         ("http://127.0.0.1:8080/", "http://a:b#c@127.0.0.1/", "%23"),
         ("#user = \"operator\"", "ca_file = \"camera.pem\"", "not secured by TLS"),
@@ -85,6 +86,8 @@ fn wrong_keys_and_values_are_named() {
         ("#window_s = 300", "window_s = 60", "serial.window_s"),
         ("#baud = 115200", "baud = 5", "serial.baud"),
         ("#prefix = \"homeassistant\"", "prefix = \"a/#\"", "home_assistant.prefix"),
+        ("#prefix = \"homeassistant\"", "prefix = \"homeassistant/\"", "home_assistant.prefix"),
+        ("#prefix = \"homeassistant\"", "prefix = \"\"", "home_assistant.prefix"),
     ] {
         let bad = EXAMPLE.replacen(from, to, 1);
         assert_ne!(bad, EXAMPLE, "{from}");
@@ -102,9 +105,14 @@ fn a_host_without_its_beginning_is_no_missing_folder() {
             .expect("written");
         Config::read(&file).map(|_| ()).map_err(|error| error.to_string())
     };
-    for source in
-        ["camera.local/snap.jpg", "//camera/snap.jpg", "http//camera/x", "www.example.com"]
-    {
+    for source in [
+        "camera.local/snap.jpg",
+        "//camera/snap.jpg",
+        "http//camera/x",
+        "www.example.com",
+        "0",
+        "video0",
+    ] {
         let error = read(source).expect_err(source);
         assert!(error.contains("neither an address nor a folder"), "{source}: {error}");
     }

@@ -42,8 +42,11 @@ pub enum ModelError {
         reason: String,
     },
     /// Input or output differ from what the sidecar says.
-    #[error("model {}: {what} has shape {actual:?}, its sidecar asks for {expected:?}",
-        path.display())]
+    #[error(
+        "model {}: {what} has the shape {}, its sidecar asks for {}: name the sidecar that came with \
+         this model",
+        path.display(), sizes(actual), sizes(expected)
+    )]
     Shape {
         /// The model file.
         path: PathBuf,
@@ -62,6 +65,15 @@ pub enum ModelError {
         /// The difference.
         reason: String,
     },
+}
+
+/// Shapes such as `1x3x480x640`.
+pub(super) fn sizes(shapes: &[Vec<usize>]) -> String {
+    let size = |shape: &Vec<usize>| {
+        let sides: Vec<_> = shape.iter().map(usize::to_string).collect();
+        sides.join("x")
+    };
+    shapes.iter().map(size).collect::<Vec<_>>().join(" and ")
 }
 
 /// A picture that could not be searched.

@@ -1,5 +1,6 @@
 //! Guess of a model's head, from the shapes of its outputs.
 
+use super::error::sizes;
 use super::head_key::{HeadKind, HeadSpec};
 use super::sidecar::Sidecar;
 
@@ -71,8 +72,9 @@ pub(super) fn resolve(
         (Some(named), _) => Ok((named.spec(outputs), false)),
         (None, Some(spec)) => Ok((spec, true)),
         (None, None) => Err(format!(
-            "its outputs {outputs:?} are of no head that verge knows; name it in the sidecar \
-             (head = \"yolov8\", say)"
+            "its outputs ({}) are of no head that verge knows; name it in the sidecar \
+             (head = \"yolov8\", say)",
+            sizes(outputs)
         )),
     }
 }

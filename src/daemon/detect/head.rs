@@ -187,7 +187,7 @@ impl Head {
         };
         let PixelBox { x0, y0, x1, y1 } = bounds;
         if ![x0, y0, x1, y1].iter().all(|side| side.is_finite()) {
-            return Err(format!("the net gave the box {:?}", [x0, y0, x1, y1]));
+            return Err(format!("the net gave a box from {x0}, {y0} to {x1}, {y1}"));
         }
         // A box that lies beyond the input altogether, or has no area, is on no vehicle.
         let [width, height] = self.input;

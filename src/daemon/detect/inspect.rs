@@ -1,6 +1,7 @@
 //! Inspection of a model file before there is a sidecar: for `verge-detector check`.
 
 use super::engine::{Engine, Precision, Share};
+use super::error::sizes;
 use super::head_key::HeadSpec;
 use super::load::{Refused, Wanted};
 use super::{ModelError, guess};
@@ -60,7 +61,10 @@ fn run(
     let load = |reason| ModelError::Load { path: path.to_owned(), reason };
     let mut engine = Engine::load(path, bytes, wanted).map_err(|refused| match refused {
         Refused::Reason(reason) => load(reason),
-        Refused::Input(shape) => load(format!("its input has the shape {shape:?}, not 1x3xHxW")),
+        Refused::Input(shape) => load(format!(
+            "its input has the shape {}; pictures need 1x3xHxW (one picture, three colours)",
+            sizes(std::slice::from_ref(&shape))
+        )),
     })?;
     engine.run().map_err(load)?;
     let begun = Instant::now();

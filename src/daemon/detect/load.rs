@@ -5,6 +5,7 @@
 //! (`verge-tract`). A panic of tract at a damaged file is a refusal with its words.
 
 use super::engine::Precision;
+use super::error::sizes;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use tract_onnx::tract_core::transform::{NodeFilter, build_float_translator};
@@ -81,7 +82,11 @@ fn read(path: &Path, bytes: Vec<u8>, wanted: &Wanted) -> Result<Loaded, Refused>
     if model.inputs.len() != 1 {
         let names = model.inputs.iter().map(|input| model.node(input.node).name.clone());
         let names: Vec<String> = names.collect();
-        return Err(Refused::Reason(format!("it has the inputs {names:?}, one is wanted")));
+        let names = names.join(", ");
+        return Err(Refused::Reason(format!(
+            "it has {} inputs ({names}), one is wanted",
+            model.inputs.len()
+        )));
     }
     let fact = model.input_fact(0)?.clone();
     let kind = fact.datum_type.concretize().unwrap_or(f32::datum_type());
@@ -116,7 +121,11 @@ fn read(path: &Path, bytes: Vec<u8>, wanted: &Wanted) -> Result<Loaded, Refused>
         for shape in shapes.filter_map(|shape| shape.as_concrete()) {
             let values = shape.iter().try_fold(1usize, |all, &length| all.checked_mul(length));
             if values.is_none_or(|values| values > MOST_VALUES) {
-                return Err(Refused::Reason(format!("{} gives values of {shape:?}", node.name)));
+                return Err(Refused::Reason(format!(
+                    "{} gives more values than verge takes: {}",
+                    node.name,
+                    sizes(&[shape.to_vec()])
+                )));
             }
         }
     }

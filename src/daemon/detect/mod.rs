@@ -29,6 +29,7 @@ use super::plain;
 use crate::lane::Name;
 use crate::wire::{ModelRef, hex};
 use engine::Engine;
+use error::sizes;
 use head::Head;
 use letterbox::Letterbox;
 use load::{Refused, Wanted};
@@ -139,9 +140,10 @@ impl Detector {
             .map_err(|reason| ModelError::Load { path: path.clone(), reason })?;
         if guessed {
             log::warn!(
-                "model {}: its sidecar names no head; outputs of {outputs:?} look like {} with {} \
+                "model {}: its sidecar names no head; outputs of {} look like {} with {} \
                  classes (say head = \"{}\" if that is right)",
                 path.display(),
+                sizes(&outputs),
                 spec.kind.name(),
                 spec.classes,
                 spec.kind.name()

@@ -39,8 +39,8 @@ pub(super) fn compare(found: &[Detection], known: &SelfTest) -> Result<(), Strin
             |d: &&Detection| d.bounds.iou(&bounds) >= OVERLAP && (d.score - score).abs() <= APART;
         if found.iter().find(is_it).is_none() {
             return Err(format!(
-                "in the known picture it does not find the vehicle at {:?} with score {score}",
-                [x0, y0, x1, y1]
+                "in the known picture it does not find the vehicle from {x0}, {y0} to {x1}, {y1} px with \
+                 score {score}"
             ));
         }
     }

@@ -5,6 +5,7 @@
 use super::head_key::HeadKey;
 use crate::daemon::disk;
 use crate::daemon::plain;
+use crate::daemon::toml_file;
 use crate::density::Counting;
 use crate::evidence::Evidence;
 use crate::units::VehicleClass;
@@ -42,7 +43,7 @@ const INPUT_STEP_PX: usize = 32;
 #[derive(Debug, thiserror::Error)]
 pub enum SidecarError {
     /// It cannot be read.
-    #[error("{}: {}", path.display(), disk::unread(source))]
+    #[error("model {}: {}", path.display(), disk::unread(source))]
     Read {
         /// Sidecar or model.
         path: PathBuf,
@@ -51,7 +52,8 @@ pub enum SidecarError {
     },
     /// The model has no sidecar.
     #[error(
-        "model {}: no sidecar {} beside it, and its SHA-256 is none that verge knows",
+        "model {}: it is neither a sidecar (.toml) nor a model that verge knows: name the sidecar that \
+         came with the model, or lay it beside it as {}",
         model.display(), sidecar.display()
     )]
     Unknown {
@@ -262,19 +264,16 @@ impl Sidecar {
 
     fn read(path: &Path) -> Result<Self, SidecarError> {
         let read = |source| SidecarError::Read { path: path.to_owned(), source };
-        let bytes = plain::read(path, MOST_SIDECAR).map_err(read)?;
-        let text = String::from_utf8(bytes).map_err(|_| {
-            read(std::io::Error::new(std::io::ErrorKind::InvalidData, "not UTF-8 text"))
-        })?;
+        let text = plain::read_text(path, MOST_SIDECAR).map_err(read)?;
         Self::parse(&text, path)
     }
 
     fn parse(text: &str, path: &Path) -> Result<Self, SidecarError> {
-        let parse = |error: toml::de::Error| SidecarError::Parse {
+        let parse = |fault: toml_file::Fault| SidecarError::Parse {
             path: path.to_owned(),
-            reason: error.to_string().trim_end().to_owned(),
+            reason: fault.to_string(),
         };
-        let sidecar: Self = toml::from_str(text).map_err(parse)?;
+        let sidecar: Self = toml_file::parse(text, &[]).map_err(parse)?;
         sidecar.check().map_err(|(key, reason)| SidecarError::Value {
             path: path.to_owned(),
             key,
@@ -312,19 +311,19 @@ impl Sidecar {
         known(
             self.input.mean.iter().all(|mean| mean.is_finite()),
             "input.mean",
-            format!("{:?}, all must be numbers", self.input.mean),
+            "all must be numbers".to_owned(),
         )?;
         known(
             self.input.std.iter().all(|std| std.is_normal()),
             "input.std",
-            format!("{:?}, all must be numbers and none 0", self.input.std),
+            "all must be numbers and none 0".to_owned(),
         )?;
         if let Some(HeadKey { strides, bins, .. }) = &self.head {
             let strides = strides.as_deref().unwrap_or(&[8]);
             known(
                 !strides.is_empty() && strides.iter().all(|&s| s > 0),
                 "head.strides",
-                format!("{strides:?}, at least one, all over 0"),
+                "give at least one, all over 0".to_owned(),
             )?;
             let bins = bins.unwrap_or(8);
             known((2..=64).contains(&bins), "head.bins", format!("{bins}, 2 to 64 are possible"))?;
@@ -343,7 +342,7 @@ impl Sidecar {
         known(
             [score, iou, ios].into_iter().all(in_range),
             "thresholds",
-            format!("{:?}, all must be 0 to 1", self.thresholds),
+            "score, iou and ios must be 0 to 1".to_owned(),
         )
     }
 }
@@ -352,7 +351,14 @@ impl Sidecar {
     /// Whether all classes are among `classes` score columns.
     pub(super) fn check_classes(&self, classes: usize) -> Result<(), (&'static str, String)> {
         match self.class.iter().find(|column| column.index >= classes) {
-            Some(column) => Err(("class.index", format!("{} of {classes} columns", column.index))),
+            Some(column) => {
+                let reason = format!(
+                    "{}: the model has columns 0 to {}",
+                    column.index,
+                    classes.saturating_sub(1)
+                );
+                Err(("class.index", reason))
+            }
             None => Ok(()),
         }
     }

@@ -15,6 +15,11 @@ const NET_SHARE: f64 = 0.5;
 /// Share that one pass may take, before the net gets a smaller input.
 const NET_MOST: f64 = 0.8;
 
+/// A time as people write it: at most two places.
+fn seconds(time: Duration) -> String {
+    format!("{} s", (time.as_secs_f64() * 100.0).round() / 100.0)
+}
+
 impl Line {
     /// Keeps the net within the time between two pictures: each is searched once, and not its far
     /// part again, where two passes take more than half of it; and where one takes more than
@@ -31,10 +36,11 @@ impl Line {
             let begun = clock::processor_time();
             self.detector.infer()?;
             let took = clock::processor_time() - begun;
+            let each = seconds(interval);
             let passes = self.parts.iter().map(Parts::count).max().unwrap_or(0);
             if passes > 1 && took.mul_f64(passes as f64) > interval.mul_f64(NET_SHARE) {
                 log::warn!(
-                    "the net takes {took:.0?}: with pictures each {interval:?} their far part is \
+                    "the net takes {took:.0?}: with a picture each {each} their far part is \
                      not searched again (model.views)"
                 );
                 self.parts.iter_mut().for_each(Parts::keep_one);
@@ -45,14 +51,14 @@ impl Line {
             let [width, height] = self.input_size();
             let Some(smaller) = self.smaller_input() else {
                 log::warn!(
-                    "the net takes {took:.0?} at {width}x{height}, with pictures each {interval:?}: \
+                    "the net takes {took:.0?} at {width}x{height}, with a picture each {each}: \
                      some will be left out (make camera.interval_s longer)"
                 );
                 return Ok(());
             };
             let [columns, rows] = smaller;
             log::warn!(
-                "the net takes {took:.0?} at {width}x{height}, with pictures each {interval:?}: it \
+                "the net takes {took:.0?} at {width}x{height}, with a picture each {each}: it \
                  gets {columns}x{rows}, where small vehicles are found less often (make \
                  camera.interval_s longer, or set model.input)"
             );

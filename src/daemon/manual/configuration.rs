@@ -3,9 +3,8 @@
 //! The example says of each key what it is, in a comment in front; keys with a `#` in front stand
 //! at their defaults, but for those of [`NO_DEFAULT`]. Tests hold the example to the types.
 
+use crate::daemon::config::example::{Key, keys};
 use verge_desk::manual::{escaped, list};
-
-const EXAMPLE: &str = include_str!("../../../boards/linux/verge.toml");
 
 /// Keys that the example shows by a value which is not their default.
 #[cfg(test)]
@@ -37,65 +36,6 @@ pub(super) const NO_DEFAULT: [&str; 26] = [
     "serial.window_s",
     "metrics.file",
 ];
-
-/// A key of the example.
-#[derive(Debug, PartialEq, Eq)]
-struct Key<'a> {
-    /// Empty for keys above all sections.
-    section: &'a str,
-    name: &'a str,
-    value: &'a str,
-    /// Whether it has a `#` in front.
-    off: bool,
-    /// The comment before it; keys that follow one another share it.
-    about: String,
-}
-
-/// The keys in their order, and what the example says at its top.
-fn keys() -> (String, Vec<Key<'static>>) {
-    let (mut section, mut about, mut top) = ("", String::new(), None);
-    let (mut keys, mut fresh) = (Vec::new(), true);
-    for line in EXAMPLE.lines() {
-        if let Some(name) = table(line) {
-            section = name;
-        } else if let Some((name, value, off)) = key(line) {
-            keys.push(Key { section, name, value, off, about: about.clone() });
-            fresh = true;
-        } else if let Some(text) = line.strip_prefix('#') {
-            if std::mem::take(&mut fresh) {
-                about.clear();
-            }
-            about.push_str(text);
-        } else {
-            // The first blank line ends the text on the whole section.
-            top.get_or_insert_with(|| about.trim().to_owned());
-            about.clear();
-            fresh = false;
-        }
-    }
-    for key in &mut keys {
-        key.about = key.about.trim().to_owned();
-    }
-    (top.unwrap_or_default(), keys)
-}
-
-/// The section that a line begins, in a comment too.
-fn table(line: &str) -> Option<&str> {
-    let line = line.strip_prefix('#').unwrap_or(line).trim_start();
-    line.strip_prefix('[')?.strip_suffix(']')
-}
-
-/// Name, value and whether it is switched off. Comments have a blank behind their `#`, but for
-/// keys that a comment shows further in.
-fn key(line: &str) -> Option<(&str, &str, bool)> {
-    let rest = line.strip_prefix('#');
-    let off = rest.is_some();
-    let rest = rest.unwrap_or(line);
-    let shown = rest.strip_prefix("     ").unwrap_or(rest);
-    let (name, value) = shown.split_once(" = ")?;
-    let is_name = name.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c.is_ascii_digit());
-    (is_name && !name.is_empty()).then_some((name, value, off))
-}
 
 /// verge.toml(5).
 pub(super) fn roff() -> String {

@@ -5,6 +5,9 @@
 //! and one `binary_sensor` for the connection. Home
 //! Assistant reads the daemon's own topics; nothing else is published for it.
 
+use crate::daemon::disk;
+use crate::daemon::output::WholeFile;
+use crate::daemon::plain;
 use crate::daemon::site::Site;
 use crate::lane::Lane;
 use serde::{Deserialize, Serialize};
@@ -145,7 +148,9 @@ pub fn announcements(
 fn device_id(site: &str) -> String {
     let allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     let plain: String = site.chars().map(|c| if allowed(c) { c } else { '_' }).collect();
-    if plain == site {
+    // A name with such an ending could be another's id.
+    let ends_like_ours = plain.rsplit_once('_').is_some_and(|(_, tail)| is_tail(tail));
+    if plain == site && !ends_like_ours {
         return format!("verge_{plain}");
     }
     let digest = Sha256::digest(site);
@@ -153,8 +158,20 @@ fn device_id(site: &str) -> String {
     format!("verge_{plain}_{tail}")
 }
 
-/// The topics on which something was announced to Home Assistant, over restarts: what is given up
-/// later must be taken back.
+/// Whether a text looks like the part of a digest in an id.
+fn is_tail(text: &str) -> bool {
+    text.len() == 8 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+}
+
+/// Most bytes of the file: 200 times the topics of eight lanes.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// The topics on which something may stand for Home Assistant at the broker, over restarts: what is
+/// given up later must be taken back.
+///
+/// A topic is noted before anything is published on it, and forgotten once the broker has taken the
+/// empty message on it. So a power cut at any moment leaves none behind, and a topic that another box
+/// takes later is left alone.
 #[derive(Debug)]
 pub struct Announced {
     file: PathBuf,
@@ -165,8 +182,22 @@ impl Announced {
     /// Reads what an earlier run has announced, beside its windows.
     pub fn open(folder: &Path) -> Self {
         let file = folder.join("announced");
-        let text = std::fs::read_to_string(&file).unwrap_or_default();
-        Self { file, topics: text.lines().map(str::to_owned).collect() }
+        let text = match plain::read_text(&file, MAX_BYTES) {
+            Ok(text) => text,
+            Err(error) => {
+                if error.kind() != std::io::ErrorKind::NotFound {
+                    log::warn!(
+                        "{}: {}; Home Assistant keeps what an earlier configuration has announced",
+                        file.display(),
+                        disk::unread(&error)
+                    );
+                }
+                String::new()
+            }
+        };
+        // What is not ours must not be emptied, whatever has happened to the file.
+        let is_ours = |topic: &&str| topic.ends_with("/config") && topic.contains("/verge_");
+        Self { file, topics: text.lines().filter(is_ours).map(str::to_owned).collect() }
     }
 
     /// Messages that withdraw everything but these announcements: empty ones.
@@ -176,25 +207,38 @@ impl Announced {
         self.topics.iter().filter(is_gone).map(empty).collect()
     }
 
-    /// These were announced, and all others taken back.
+    /// These are about to be announced.
     pub fn note(&mut self, now: &[Announcement]) {
-        let topics: BTreeSet<_> = now.iter().map(|new| new.topic.clone()).collect();
-        if topics == self.topics {
-            return;
+        let before = self.topics.len();
+        self.topics.extend(now.iter().map(|new| new.topic.clone()));
+        if self.topics.len() != before {
+            self.write();
         }
-        let text: String = topics.iter().map(|topic| format!("{topic}\n")).collect();
-        let written = if topics.is_empty() {
-            std::fs::remove_file(&self.file)
-        } else {
-            std::fs::write(&self.file, text)
-        };
+    }
+
+    /// The broker has taken the empty messages on these topics. Those that are announced again by
+    /// now stay.
+    pub fn cleared(&mut self, topics: &[String], now: &[Announcement]) {
+        let before = self.topics.len();
+        for topic in topics {
+            if now.iter().all(|new| new.topic != *topic) {
+                self.topics.remove(topic);
+            }
+        }
+        if self.topics.len() != before {
+            self.write();
+        }
+    }
+
+    fn write(&self) {
+        let text: String = self.topics.iter().map(|topic| format!("{topic}\n")).collect();
+        let written = WholeFile::create(&self.file).and_then(|mut file| {
+            file.bytes(text.as_bytes())?;
+            file.finish()
+        });
         if let Err(error) = written {
-            log::warn!(
-                "{}: {error}; Home Assistant may keep what a later configuration gives up",
-                self.file.display()
-            );
+            log::warn!("{error}; Home Assistant may keep what a later configuration gives up");
         }
-        self.topics = topics;
     }
 }
 
@@ -237,28 +281,76 @@ mod tests {
     #[test]
     fn ids_are_unique_for_any_site() {
         assert_eq!(device_id("k109-F_2"), "verge_k109-F_2", "a plain name stays as it is");
-        let names = ["k 1", "k_1", "k/1", "k.1", "k\u{e4}1", "k\u{f6}1", "\u{4e2d}", "\u{6587}"];
+        let long = |end: &str| "a".repeat(47) + end;
+        let plain =
+            ["k1", "K1", "k_1", "k-1", "_", "__", "-", "k1_lane1_density", &long("a"), &long("b")];
+        let odd = [
+            "k 1",
+            "k/1",
+            "k.1",
+            "k\u{e4}1",
+            "k\u{f6}1",
+            "ka\u{308}1",
+            "\u{4e2d}",
+            "\u{6587}",
+            "...",
+            "..,",
+            "!",
+            "?",
+            "k1 ",
+            &long("."),
+            &long(","),
+            &"\u{e4}".repeat(24),
+        ];
+        let mut names: Vec<_> = plain.iter().chain(&odd).map(|name| (*name).to_owned()).collect();
+        // Names that are the ids of others, without what stands before each.
+        names.extend(odd.map(|name| device_id(name).split_off("verge_".len())));
         let ids: BTreeSet<_> = names.iter().map(|name| device_id(name)).collect();
         assert_eq!(ids.len(), names.len());
         assert!(ids.iter().all(|id| id.is_ascii() && !id.contains(['/', '.', ' '])));
     }
 
     #[test]
-    fn what_was_given_up_is_known_over_restarts() {
+    fn what_was_given_up_is_known_until_the_broker_has_emptied_it() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let all = made();
-        let mut announced = Announced::open(folder.path());
-        assert!(announced.given_up(&all).is_empty());
-        announced.note(&all);
-        let mut announced = Announced::open(folder.path());
+        let open = || Announced::open(folder.path());
+        let topics = |given_up: Vec<Announcement>| -> Vec<String> {
+            given_up.into_iter().map(|one| one.topic).collect()
+        };
+        assert!(open().given_up(&all).is_empty());
+        open().note(&all);
+        // A lane is gone. A power cut before the broker has taken that forgets nothing.
+        let mut announced = open();
         let gone = announced.given_up(&all[..2]);
         assert_eq!(gone, [Announcement { topic: all[2].topic.clone(), payload: Vec::new() }]);
         announced.note(&all[..2]);
+        assert_eq!(topics(open().given_up(&all[..2])), [all[2].topic.clone()]);
+        let mut announced = open();
+        announced.cleared(&topics(gone), &all[..2]);
+        assert!(open().given_up(&all[..2]).is_empty(), "another box may have the topic now");
         // Turned off: all of it goes.
-        let mut announced = Announced::open(folder.path());
-        assert_eq!(announced.given_up(&[]).len(), 2);
-        announced.note(&[]);
-        assert!(Announced::open(folder.path()).given_up(&[]).is_empty());
+        let gone = topics(open().given_up(&[]));
+        assert_eq!(gone.len(), 2);
+        // Turned on again before that came back: it stays.
+        let mut announced = open();
+        announced.cleared(&gone, &all[..1]);
+        assert_eq!(topics(open().given_up(&[])), [all[0].topic.clone()]);
+        announced.cleared(&gone, &[]);
+        assert!(open().given_up(&[]).is_empty());
+    }
+
+    #[test]
+    fn a_file_that_came_to_harm_empties_no_others_topics() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("announced");
+        for text in [&b"home/light/config\nverge/k1/health\n#\n\n"[..], b"\xff\0", b""] {
+            std::fs::write(&file, text).expect("written");
+            assert!(Announced::open(folder.path()).given_up(&[]).is_empty());
+        }
+        // As the versions before have written it.
+        std::fs::write(&file, "ha/sensor/verge_a/lane1_density/config\n").expect("written");
+        assert_eq!(Announced::open(folder.path()).given_up(&[]).len(), 1);
     }
 
     /// Keys that the documentation of the MQTT `sensor` and `binary_sensor` has.

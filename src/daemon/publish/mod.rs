@@ -1,7 +1,7 @@
 //! Publish: the last stage, from a window to messages at the broker.
 //!
-//! Owns which message goes when, and the rate of replay. The spool keeps windows until they have
-//! arrived, `mqtt` has the connection, `verge_messages` topics and JSON.
+//! Owns which message goes when, and the rate of replay. What is kept until it has arrived is
+//! the spool's; the connection is `mqtt`'s; topics and JSON are those of `verge_messages`.
 
 pub mod home_assistant;
 #[cfg(feature = "demo")]
@@ -252,6 +252,11 @@ impl Publisher {
     pub fn announce(&self, announcement: home_assistant::Announcement) {
         let home_assistant::Announcement { topic, payload } = announcement;
         self.connection.state(Message { topic, payload, retain: true });
+    }
+
+    /// The topics of announcements whose empty message the broker has taken since it was asked last.
+    pub fn cleared(&self) -> Vec<String> {
+        self.connection.cleared()
     }
 
     /// The open session; each has a number of its own.

@@ -210,14 +210,16 @@ impl Hands {
         let publisher = self.outlet.publisher();
         let session = publisher.session();
         if session.is_some() && session != std::mem::replace(&mut self.announced, session) {
+            self.known.note(&self.announcements);
             for announcement in self.known.given_up(&self.announcements) {
                 publisher.announce(announcement);
             }
             for announcement in &self.announcements {
                 publisher.announce(announcement.clone());
             }
-            self.known.note(&self.announcements);
         }
+        let cleared = publisher.cleared();
+        self.known.cleared(&cleared, &self.announcements);
     }
 
     /// Announcements follow another configuration.

@@ -6,8 +6,7 @@
 use super::Fault;
 use crate::daemon::address::Address;
 use crate::daemon::dial::{self, Timed};
-use crate::daemon::foreign::shown;
-use crate::daemon::trust::Trust;
+use crate::daemon::trust::{self, Trust};
 use rustls::pki_types::ServerName;
 use rustls::{ClientConnection, StreamOwned};
 use std::io::{self, Read, Write};
@@ -184,7 +183,7 @@ fn secure_fault(error: &rustls::Error) -> Fault {
             "the camera speaks no TLS from version 1.2 on with ciphers that are safe today: can its \
              firmware be renewed?".to_owned()
         }
-        other => format!("TLS: {}", shown(&other.to_string())),
+        other => trust::fault(other),
     })
 }
 

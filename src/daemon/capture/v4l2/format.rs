@@ -16,8 +16,8 @@ use v4l::{Device, Format, FourCC, Fraction};
 /// How the bytes of a stream become a picture.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Given {
-    encoding: Encoding,
-    layout: Layout,
+    pub(super) encoding: Encoding,
+    pub(super) layout: Layout,
     colour: Colour,
     /// Memory of all buffers, bytes.
     buffered: u64,
@@ -76,8 +76,10 @@ fn times(device: &Device, fourcc: FourCC, (width, height): (u32, u32)) -> Vec<Fr
 }
 
 pub(super) fn describe(offers: &[Offer]) -> String {
-    let mut text: Vec<_> =
-        offers.iter().map(|o| format!("{:?} {}x{}", o.encoding, o.size.0, o.size.1)).collect();
+    let mut text: Vec<_> = offers
+        .iter()
+        .map(|o| format!("{} {}x{}", FourCC::new(&o.encoding.fourcc()), o.size.0, o.size.1))
+        .collect();
     text.dedup();
     if text.is_empty() { "none of these formats".to_owned() } else { text.join(", ") }
 }

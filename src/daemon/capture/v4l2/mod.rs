@@ -26,11 +26,11 @@ use std::hash::{DefaultHasher, Hasher};
 use std::io::{Error, ErrorKind};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
-use v4l::Device;
 use v4l::buffer::{Flags, Type};
 use v4l::capability::Flags as Can;
 use v4l::io::mmap::Stream;
 use v4l::io::traits::{CaptureStream, Stream as _};
+use v4l::{Device, FourCC};
 
 /// Frames in a row that may be marked as damaged before the stream is given up.
 const MOST_FLAGGED: u32 = 8;
@@ -174,7 +174,14 @@ impl Open {
         let (given, buffers) = set(&device, settings, choice)?;
         let stream = Stream::with_buffers(&device, Type::VideoCapture, buffers)
             .map_err(|e| failed(settings, "REQBUFS", &e))?;
-        log::info!("{}: {} as {given:?}", settings.path.display(), about.card);
+        let (encoding, layout) = (FourCC::new(&given.encoding.fourcc()), given.layout);
+        log::info!(
+            "{}: {} as {encoding} {}x{}",
+            settings.path.display(),
+            about.card,
+            layout.width,
+            layout.height
+        );
         let (stream, sequence) = (Stopping(Some(stream)), Sequence::default());
         Ok(Self { stream, given, buffers, sequence })
     }
@@ -299,6 +306,6 @@ mod tests {
         let camera = camera("/dev/video0");
         let error = guarded(&camera.settings, "opening", || -> Result<(), _> { panic!("odd") });
         let text = error.expect_err("it panicked").to_string();
-        assert!(text.contains("/dev/video0: opening"), "{text}");
+        assert!(text.starts_with("/dev/video0: ") && text.contains("opening"), "{text}");
     }
 }

@@ -4,9 +4,11 @@
 //! Owns that nothing of it is left behind: a folder that root had made would be closed to the
 //! unit's user.
 
+use super::unit::Sandbox;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
-use crate::daemon::output::check_place;
+use crate::daemon::metrics;
+use crate::daemon::output::{check_place, real_place};
 use crate::daemon::spool;
 use std::io;
 use std::os::unix::fs::MetadataExt;
@@ -19,6 +21,8 @@ const USER: &str = "verge";
 const CONFIGURATION: &str = "/etc/verge/verge.toml";
 const STATE: &str = "/var/lib/verge";
 const RUNTIME: &str = "/run/verge";
+/// In such a folder, as /tmp is, nobody replaces another user's file.
+const STICKY: u32 = 0o1000;
 /// Set where this is the unit's user already.
 const DONE: &str = "VERGE_CHECK_AS_UNIT";
 
@@ -55,10 +59,27 @@ pub(super) fn who() -> &'static str {
     if std::env::var_os(DONE).is_some() { "as the unit's user" } else { "as this user" }
 }
 
+/// The unit's sandbox, where this configuration is the unit's.
+pub(super) fn sandbox(config: &Path) -> Option<Sandbox> {
+    is_units(config).then(|| Sandbox::read(Path::new("/"))).flatten()
+}
+
+/// Whether the service sees every file that the configuration names.
+pub(super) fn seen(config: &Config, sandbox: &Sandbox) -> Result<String, Failure> {
+    let hidden = config.files().into_iter().find_map(|file| Some((sandbox.hides(&file)?, file)));
+    match hidden {
+        None => Ok("the service sees every file that is named".to_owned()),
+        Some((reason, path)) => {
+            Err(Failure::Input { path, source: io::Error::new(io::ErrorKind::NotFound, reason) })
+        }
+    }
+}
+
 /// Tries the spool's folder.
-pub(super) fn spool(config: &Config) -> Result<String, Failure> {
+pub(super) fn spool(config: &Config, sandbox: Option<&Sandbox>) -> Result<String, Failure> {
     let folder = config.spool_folder();
     let shown = folder.display();
+    forbidden(folder, sandbox)?;
     if !folder.exists() && folder.starts_with(STATE) && !Path::new(STATE).exists() {
         return Ok(format!("{shown}: systemd makes it at the first start"));
     }
@@ -70,27 +91,59 @@ pub(super) fn spool(config: &Config) -> Result<String, Failure> {
 }
 
 /// Tries the metrics file's place; `None` where there is none.
-pub(super) fn metrics(config: &Config) -> Option<Result<String, Failure>> {
+pub(super) fn metrics(
+    config: &Config,
+    sandbox: Option<&Sandbox>,
+) -> Option<Result<String, Failure>> {
     let file = config.metrics.file.as_deref()?;
-    let folder = file.parent().unwrap_or(Path::new("."));
-    if !folder.exists() && folder == Path::new(RUNTIME) {
-        return Some(Ok(format!("{}: systemd makes the folder", file.display())));
+    let real = real_place(file);
+    if let Err(failure) = forbidden(&real, sandbox) {
+        return Some(Err(failure));
     }
-    let trial = check_place(file).and_then(|()| tempfile_beside(file));
+    let unseen = metrics::unseen(&real).map_or(String::new(), |why| format!("; but {why}"));
+    let folder = real.parent().unwrap_or(Path::new("."));
+    if !folder.exists() && folder == Path::new(RUNTIME) {
+        return Some(Ok(format!("{}: systemd makes the folder{unseen}", file.display())));
+    }
+    let trial = check_place(&real).and_then(|()| replaceable(&real));
     Some(match trial {
-        Ok(()) => Ok(format!("{}: can be written", file.display())),
+        Ok(()) => Ok(format!("{}: can be written{unseen}", file.display())),
         Err(source) => Err(unwritable(file, source)),
     })
 }
 
-/// Writes and removes a file of another name in the same folder.
-fn tempfile_beside(file: &Path) -> io::Result<()> {
-    let mut name = file.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_owned();
-    name.push(".check");
-    let trial = file.with_file_name(name);
+/// Whether this user may put another file in the place of this one.
+fn replaceable(file: &Path) -> io::Result<()> {
+    let beside = |ending: &str| -> io::Result<_> {
+        let mut name = file.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_owned();
+        name.push(ending);
+        Ok(file.with_file_name(name))
+    };
+    let trial = beside(".check")?;
     let written = std::fs::write(&trial, "verge check\n");
-    let _ = std::fs::remove_file(&trial);
-    written
+    let trial = std::fs::remove_file(&trial).and(written);
+    trial?;
+    // What a power cut has left of it may be another user's.
+    let partial = beside(".partial")?;
+    if partial.exists() {
+        std::fs::OpenOptions::new().write(true).open(&partial)?;
+    }
+    let user = std::fs::metadata("/proc/self")?.uid();
+    let folder = std::fs::metadata(file.parent().unwrap_or(Path::new(".")))?;
+    let is_others = std::fs::metadata(file).is_ok_and(|there| there.uid() != user);
+    if is_others && folder.mode() & STICKY != 0 && folder.uid() != user && user != 0 {
+        return Err(io::ErrorKind::PermissionDenied.into());
+    }
+    Ok(())
+}
+
+fn forbidden(path: &Path, sandbox: Option<&Sandbox>) -> Result<(), Failure> {
+    match sandbox.and_then(|sandbox| sandbox.forbids(path)) {
+        None => Ok(()),
+        Some(reason) => {
+            Err(unwritable(path, io::Error::new(io::ErrorKind::PermissionDenied, reason)))
+        }
+    }
 }
 
 fn unwritable(path: &Path, source: io::Error) -> Failure {

@@ -5,6 +5,7 @@
 
 pub mod aim;
 pub(super) mod folders;
+mod unit;
 
 use crate::alarm::Alarm;
 use crate::daemon::address::masked;
@@ -62,11 +63,12 @@ pub fn run(path: &Path, after_update: bool, overlay: Option<&Path>) -> Result<()
 fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
     let mut report = Report::default();
     let Some(config) = report.line("config", Config::read(path), |config| {
+        let lengths: Vec<_> = config.windows.lengths_s.iter().map(u64::to_string).collect();
         format!(
-            "{}: site {}, windows {:?} s, read {}",
+            "{}: site {}, windows of {} s, read {}",
             path.display(),
             config.site.id,
-            config.windows.lengths_s,
+            lengths.join(", "),
             folders::who()
         )
     }) else {
@@ -115,8 +117,12 @@ fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
             report.line("overlay", drawn, String::clone);
         }
     }
-    report.line("spool", folders::spool(&config), String::clone);
-    if let Some(metrics) = folders::metrics(&config) {
+    let sandbox = folders::sandbox(path);
+    if let Some(sandbox) = &sandbox {
+        report.line("unit", folders::seen(&config, sandbox), String::clone);
+    }
+    report.line("spool", folders::spool(&config, sandbox.as_ref()), String::clone);
+    if let Some(metrics) = folders::metrics(&config, sandbox.as_ref()) {
         report.line("metrics", metrics, String::clone);
     }
     let connected = broker(&config).and_then(|settings| {

@@ -23,9 +23,9 @@ use crate::daemon::clock;
 use crate::daemon::foreign::shown;
 use packet::{Denial, Spoken};
 use serde::Deserialize;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use worker::Worker;
@@ -157,9 +157,17 @@ pub struct Statistics {
     pub refused: AtomicU64,
     /// When the thread last turned, by the clock that nobody sets, ms.
     beat_ms: AtomicU64,
+    /// Topics of states whose empty message the broker has taken: it keeps nothing on them.
+    cleared: Mutex<Vec<String>>,
 }
 
 impl Statistics {
+    /// The broker has taken an empty state.
+    fn note_cleared(&self, topic: &str) {
+        let mut cleared = self.cleared.lock().unwrap_or_else(PoisonError::into_inner);
+        cleared.push(topic.to_owned());
+    }
+
     /// The thread turns.
     fn beat(&self) {
         self.beat_ms.store(now_ms(), Ordering::Relaxed);
@@ -236,6 +244,12 @@ impl Connection {
 
     pub(super) fn delivered(&self) -> u64 {
         self.statistics.delivered.load(Ordering::Relaxed)
+    }
+
+    /// The topics that were emptied since it was asked last.
+    pub(super) fn cleared(&self) -> Vec<String> {
+        let mut cleared = self.statistics.cleared.lock().unwrap_or_else(PoisonError::into_inner);
+        std::mem::take(&mut cleared)
     }
 
     pub(super) fn refused(&self) -> u64 {

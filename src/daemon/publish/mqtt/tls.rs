@@ -1,12 +1,13 @@
 //! Certificates: whom we trust, and who we are to a broker that asks.
 //!
 //! Owns the files of the configuration that secure the connection, and the message where that
-//! fails. `trust` decides which certificate is accepted.
+//! fails. Which certificate is taken is `trust`'s.
 
 use super::link::End as LinkEnd;
 use crate::daemon::certificate::{End, not_after};
 use crate::daemon::foreign::shown;
-use crate::daemon::trust::{Peer, Trust};
+use crate::daemon::trust::{self, Peer, Trust};
+use crate::daemon::{disk, plain};
 use crate::units::UtcMs;
 use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -15,6 +16,9 @@ use sha2::{Digest, Sha256};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Most bytes of a file of certificates: bundles of all public authorities have a quarter of it.
+const MAX_FILE: u64 = 1 << 20;
 
 /// Why a connection cannot be secured.
 #[derive(Debug, thiserror::Error)]
@@ -81,7 +85,7 @@ impl Tls {
     /// [`TlsError`] names the file and what is wrong with it.
     pub fn load(files: &TlsFiles) -> Result<Self, TlsError> {
         let (shown, mut ends) = (End::default(), Vec::new());
-        let unfit = |key, error: Error| TlsError::Unfit { key, reason: error.to_string() };
+        let unfit = |key, error: Error| TlsError::Unfit { key, reason: misfit(&error) };
         let trust = match &files.ca {
             None => Trust::Public,
             Some(path) => {
@@ -91,7 +95,8 @@ impl Tls {
                     reason,
                     expected: "certificates",
                 };
-                let file = std::fs::read(path).map_err(|error| wrong(error.to_string()))?;
+                let file = plain::read(path, MAX_FILE)
+                    .map_err(|error| wrong(disk::unread(&error).to_string()))?;
                 let trust = Trust::certificates(&file).map_err(wrong)?;
                 // Of a bundle most are other people's.
                 if let Trust::Certificates(found) = &trust
@@ -164,7 +169,7 @@ pub(super) fn end(error: &Error) -> LinkEnd {
         ) => "the broker does not take the certificate of the box (mqtt.certificate_file): is it \
               expired, or signed by another authority than the broker's?"
             .to_owned(),
-        other => format!("TLS: {}", shown(&other.to_string())),
+        other => trust::fault(other),
     })
 }
 
@@ -191,11 +196,38 @@ fn certificates(key: &'static str, path: &Path) -> Result<Vec<CertificateDer<'st
     Ok(found)
 }
 
+/// Why certificate and key are not taken.
+fn misfit(error: &Error) -> String {
+    match error {
+        Error::InconsistentKeys(_) => {
+            "certificate and key do not belong together: is mqtt.key_file the key of this \
+             certificate?"
+                .to_owned()
+        }
+        Error::InvalidCertificate(_) => {
+            "its first certificate cannot be read: make it again (X.509 version 3, PEM)".to_owned()
+        }
+        // Of the key: rustls has no kind of its own for it.
+        Error::General(_) => {
+            "mqtt.key_file is of a kind that TLS does not take: RSA from 2048 bits on, P-256, P-384 \
+             and Ed25519 are taken"
+                .to_owned()
+        }
+        other => shown(&other.to_string()),
+    }
+}
+
 fn unreadable(
     key: &'static str,
     path: &Path,
     error: &pem::Error,
     expected: &'static str,
 ) -> TlsError {
-    TlsError::Read { key, path: path.to_owned(), reason: error.to_string(), expected }
+    let reason = match error {
+        pem::Error::Io(error) => disk::unread(error).to_string(),
+        pem::Error::NoItemsFound => format!("it holds no {}", expected.trim_start_matches("a ")),
+        pem::Error::MissingSectionEnd { .. } => "it was cut off: an END line is missing".into(),
+        _ => "a line of it is damaged: copy the file again".into(),
+    };
+    TlsError::Read { key, path: path.to_owned(), reason, expected }
 }

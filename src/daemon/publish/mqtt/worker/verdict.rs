@@ -86,6 +86,9 @@ impl Worker {
         if self.bans.taken(&family, size) {
             log::info!("the broker takes {family} again");
         }
+        if sent.kind == Kind::State && size == 0 {
+            self.statistics.note_cleared(topic);
+        }
         if sent.kind != Kind::Presence {
             self.statistics.delivered.fetch_add(1, Ordering::Relaxed);
         }

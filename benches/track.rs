@@ -1,5 +1,6 @@
 //! Cost of following vehicles, per picture: `cargo bench --bench track`. Prints the least of twenty
-//! rounds, in microseconds, for a street with four lanes of moving traffic and one of four in a jam.
+//! rounds, in microseconds, for a street with four lanes of moving traffic and one of four in a
+//! jam.
 
 use std::hint::black_box;
 use std::time::Instant;

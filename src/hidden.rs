@@ -1,7 +1,7 @@
 //! Vehicles of a queue that others hide: estimated from the road that cannot be seen.
 //!
-//! Owns the estimate. Knows boxes that count and where they stand in their lanes, not pictures; what
-//! becomes of the estimate is [`crate::density`]'s.
+//! Owns the estimate. Knows boxes that count and where they stand in their lanes, not pictures;
+//! [`crate::density`] uses the estimate.
 //!
 //! Every detector misses a vehicle that cannot be seen: behind a lorry or a van in a queue
 //! the next vehicle shows a strip of its roof or nothing. Distance sampling has two cures for it

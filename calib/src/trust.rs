@@ -15,6 +15,10 @@ pub const MIN_VEHICLES: usize = 3;
 pub const MAX_REL_ERR: f64 = 0.15;
 /// The same at the far end, where fewer vehicles are seen.
 pub const MAX_FAR_REL_ERR: f64 = 0.25;
+/// Largest stated standard error of a length across the road: beyond it the 90 % interval of a
+/// lane's width reaches half way (a factor of the root of two) to that of two lanes, and a vehicle's
+/// place in its lane to the next one.
+pub const MAX_ACROSS_REL_ERR: f64 = 0.20;
 /// A camera over a road stands between these heights, m.
 pub const HEIGHT_RANGE_M: [f64; 2] = [2.0, 80.0];
 /// Largest typical misfit of a key point as a part of the picture's width: 3.2 px of 320.
@@ -114,6 +118,17 @@ pub enum Reason {
         /// What to add as a remedy, where that is known.
         add: Option<String>,
     },
+    /// The stated error of a length across the road is too large.
+    UncertainAcross {
+        /// Where, in words.
+        place: String,
+        /// The length there, m.
+        length_m: f64,
+        /// Its standard error as a part of it.
+        rel_err: f64,
+        /// What to add as a remedy, where that is known.
+        add: Option<String>,
+    },
     /// A key point lies at or above the horizon.
     AboveHorizon {
         /// The vehicle.
@@ -199,6 +214,16 @@ impl fmt::Display for Reason {
                 write!(
                     f,
                     "lengths at the far end are uncertain by {percent:.0} % (limit {limit:.0} %)"
+                )?;
+                add.as_ref().map_or(Ok(()), |add| write!(f, "; add {add}"))
+            }
+            Reason::UncertainAcross { place, length_m, rel_err, add } => {
+                let (percent, limit) = (100.0 * rel_err, 100.0 * MAX_ACROSS_REL_ERR);
+                write!(
+                    f,
+                    "across the road lengths are uncertain by {percent:.0} % (limit {limit:.0} %; \
+                     {place}: {:.1} of {length_m:.1} m): a vehicle could count in the wrong lane",
+                    rel_err * length_m
                 )?;
                 add.as_ref().map_or(Ok(()), |add| write!(f, "; add {add}"))
             }
@@ -301,6 +326,16 @@ pub fn uncertain(rel_err: Option<f64>, add: impl FnOnce() -> Option<String>) -> 
 pub fn uncertain_far(rel_err: f64, add: impl FnOnce() -> Option<String>) -> Option<Reason> {
     let bad = rel_err.is_nan() || rel_err > MAX_FAR_REL_ERR;
     bad.then(|| Reason::UncertainFar { rel_err, add: add() })
+}
+
+/// The same of a length across the road.
+pub fn uncertain_across(
+    place: String,
+    [length_m, rel_err]: [f64; 2],
+    add: impl FnOnce() -> Option<String>,
+) -> Option<Reason> {
+    let bad = rel_err.is_nan() || rel_err > MAX_ACROSS_REL_ERR;
+    bad.then(|| Reason::UncertainAcross { place, length_m, rel_err, add: add() })
 }
 
 /// The first key point that this camera sees at or above its horizon: no vehicle of the

@@ -129,6 +129,72 @@ fn what_is_no_rectangle_is_refused_or_named() {
     }
 }
 
+/// Lengths along the road alone, near and far.
+fn along_alone() -> [serde_json::Value; 3] {
+    let along = |from: f64, to: f64| shape("length", "line", &[[0.0, from], [0.0, to]]);
+    let mut all = [along(20.0, 32.0), along(40.0, 52.0), along(20.0, 68.0)];
+    for (one, metres) in all.iter_mut().zip([12, 12, 48]) {
+        one["label"] = format!("{metres} m").into();
+    }
+    all
+}
+
+#[test]
+fn an_error_across_the_road_is_stated_judged_and_mended() {
+    let (_, said, written) = road(&along_alone(), &[], &[]);
+    let errors = &written["errors"];
+    let of = |place: &str, way: &str| errors[place][way].as_f64().unwrap();
+    assert!(of("far", "along") < 0.15 && of("far", "across") > 0.20, "{said}");
+    let trust = written["trust"].as_str().unwrap();
+    assert!(trust.starts_with("across the road lengths are uncertain by"), "{said}");
+    assert!(trust.contains("limit 20 %") && trust.contains("the road, "), "{said}");
+    assert!(trust.contains("; add one more length across the road"), "{said}");
+    // What it asks for mends it.
+    let mut more = along_alone().to_vec();
+    more.push(shape("8 m", "line", &[[-4.0, 66.0], [4.0, 66.0]]));
+    more.push(shape("8 m", "line", &[[-4.0, 24.0], [4.0, 24.0]]));
+    let (_, said, written) = road(&more, &[], &[]);
+    assert_eq!(written["trust"], "ok", "{said}");
+    // Each lane's width has its error, and a stated width lowers it.
+    let far = |more: &[&str]| {
+        let (_, said, written) = road(&along_alone(), &lines(), more);
+        assert!(said.contains("lane lines 1 and 2: width +- "), "{said}");
+        let far = &written["errors"]["lanes"][0]["far"];
+        assert!((far["width_m"].as_f64().unwrap() / 3.5).ln().abs() < 0.15, "{far}");
+        far["rel_err"].as_f64().unwrap()
+    };
+    let (unknown, known) = (far(&[]), far(&["--lane-width", "3.5"]));
+    assert!(known < 0.6 * unknown && unknown < 0.20, "{known} {unknown}");
+}
+
+#[test]
+fn verify_states_the_error_across_the_road() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, shapes: &[serde_json::Value]| {
+        let text = json!({"imageWidth": 320, "imageHeight": 240, "shapes": shapes}).to_string();
+        std::fs::write(folder.path().join(name), text).unwrap();
+        folder.path().join(name)
+    };
+    let (camera, marks) = (folder.path().join("k.json"), file("marks.json", &along_alone()));
+    let run = |arguments: &[&str], path: &Path, more: &Path| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mvcalib"));
+        let ended = command.args(arguments).arg(path).arg(if arguments[0] == "verify" {
+            "--calibration"
+        } else {
+            "--out"
+        });
+        ended.arg(more).output().unwrap()
+    };
+    let road = ["calibrate", "--method", "road", "--image-size", "320x240", "--lengths"];
+    run(&road, &marks, &camera);
+    let ended = run(&["verify", "--marks"], &marks, &camera);
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert!(said.contains("across the road the stated error is"), "{said}");
+    assert!(said.contains("TOO MUCH (limit 20 %)"), "{said}");
+    let json: serde_json::Value = serde_json::from_slice(&ended.stdout).unwrap();
+    assert!(json["stated_across"][2].as_f64().unwrap() > 0.20, "{json}");
+}
+
 #[test]
 fn a_standard_that_the_other_cues_contradict_or_leave_open_is_named() {
     let dashes: Vec<_> = (0..4).map(|k| [1.75, 24.0 + 12.0 * f64::from(k)]).collect();

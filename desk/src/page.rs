@@ -1,7 +1,7 @@
 //! The files that all pages share, built into the program.
 //!
-//! Owns style, elements, the canvas with its zoom, and what is drawn over a picture. The content of
-//! a page is its program's.
+//! Owns style, elements, the canvas with its zoom, and what is drawn over a picture. Each
+//! program has the content of its page.
 
 /// A file of a page: its name, its media type, its content.
 pub type File = (&'static str, &'static str, &'static str);

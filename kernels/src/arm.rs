@@ -14,7 +14,7 @@ macro_rules! neon_lanes {
 
         #[inline(always)]
         unsafe fn load_i(from: *const i32) -> Self::I {
-            // SAFETY: the caller's, here and below.
+            // SAFETY: guaranteed by the caller, here and below.
             unsafe { vld1q_s32(from) }
         }
         #[inline(always)]

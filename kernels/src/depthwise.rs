@@ -26,7 +26,7 @@ pub(crate) unsafe fn depthwise<S: Lanes>(
     let groups = window.kernel.div_ceil(4);
     let column_len = groups * 4 * padded;
     for y in 0..window.to[0] {
-        // SAFETY: the caller's, as far as the end of this function.
+        // SAFETY: guaranteed by the caller, as far as the end of this function.
         unsafe {
             for column in 0..window.from[1] + 2 * window.pad {
                 let inside = column.checked_sub(window.pad).filter(|&x| x < window.from[1]);
@@ -143,7 +143,7 @@ pub(crate) unsafe fn depthwise_f<S: Lanes>(
 ) {
     let padded = packed.channels.next_multiple_of(S::N);
     for y in 0..window.to[0] {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let out = to.skip(y * window.to[1]);
             match window.kernel {
@@ -172,7 +172,7 @@ unsafe fn across_f<S: Lanes, const K: usize>(
     let last = ((width + pad).saturating_sub(K) / stride + 1).clamp(first, outputs);
     let mut channel = 0;
     while channel < packed.channels {
-        // SAFETY: the caller's; weights are filled up to whole vectors.
+        // SAFETY: guaranteed by the caller; weights are filled up to whole vectors.
         unsafe {
             let start = S::load_f(packed.start.as_ptr().add(channel));
             let weights = packed.weights.as_ptr().add(channel);

@@ -15,7 +15,7 @@ pub(crate) unsafe fn finish<S: Lanes>(
     out: *mut u8,
     n: usize,
 ) {
-    // SAFETY: the caller's; `factors` is filled up to whole vectors.
+    // SAFETY: guaranteed by the caller; `factors` is filled up to whole vectors.
     unsafe {
         let mut value = S::mul(S::to_f(sum), S::load_f(packed.factors.as_ptr().add(channel)));
         if let Some((least, most)) = packed.before {
@@ -39,7 +39,7 @@ pub(crate) unsafe fn finish<S: Lanes>(
 /// The leaky rectifier, where there is one.
 #[inline(always)]
 pub(crate) unsafe fn activate<S: Lanes>(value: S::F, slope: Option<f32>) -> S::F {
-    // SAFETY: the caller's.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         match slope {
             Some(slope) => S::by_sign(value, S::mul(value, S::splat(slope)), value),

@@ -53,7 +53,7 @@ pub(crate) const ROUND: f32 = 12_582_912.0;
 /// As for [`Lanes`].
 #[inline(always)]
 pub(crate) unsafe fn round<S: Lanes>(value: S::F) -> S::F {
-    // SAFETY: the caller's.
+    // SAFETY: guaranteed by the caller.
     unsafe { S::add(S::add(value, S::splat(ROUND)), S::splat(-ROUND)) }
 }
 
@@ -72,17 +72,17 @@ impl Lanes for Portable {
 
     #[inline(always)]
     unsafe fn load_i(from: *const i32) -> Self::I {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe { from.cast::<Self::I>().read_unaligned() }
     }
     #[inline(always)]
     unsafe fn load_b(from: *const u8) -> Self::B {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe { from.cast::<Self::B>().read_unaligned() }
     }
     #[inline(always)]
     unsafe fn splat_b(from: *const u8) -> Self::B {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         [unsafe { from.cast::<[u8; 4]>().read_unaligned() }; P]
     }
     #[inline(always)]
@@ -104,7 +104,7 @@ impl Lanes for Portable {
     }
     #[inline(always)]
     unsafe fn load_f(from: *const f32) -> Self::F {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe { from.cast::<Self::F>().read_unaligned() }
     }
     #[inline(always)]
@@ -134,14 +134,14 @@ impl Lanes for Portable {
     #[inline(always)]
     unsafe fn store_f(to: *mut f32, value: Self::F, n: usize) {
         for (i, value) in value.into_iter().enumerate().take(n) {
-            // SAFETY: the caller's.
+            // SAFETY: guaranteed by the caller.
             unsafe { to.add(i).write_unaligned(value) };
         }
     }
     #[inline(always)]
     unsafe fn store_u8(to: *mut u8, value: Self::F, n: usize) {
         for (i, value) in value.into_iter().enumerate().take(n) {
-            // SAFETY: the caller's.
+            // SAFETY: guaranteed by the caller.
             unsafe { *to.add(i) = value as i32 as u8 };
         }
     }

@@ -19,7 +19,7 @@ pub(crate) unsafe fn pool<T: Copy + PartialOrd>(
 ) {
     for y in 0..window.to[0] {
         for x in 0..window.to[1] {
-            // SAFETY: the caller's.
+            // SAFETY: guaranteed by the caller.
             unsafe {
                 let out = to.start.add((y * window.to[1] + x) * to.stride);
                 let out = std::slice::from_raw_parts_mut(out, channels);
@@ -57,7 +57,7 @@ pub(crate) unsafe fn interleave<T: Copy>(
     count: usize,
 ) {
     for i in 0..count {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let a = std::slice::from_raw_parts(a.start.add(i * a.stride), channels);
             let b = std::slice::from_raw_parts(b.start.add(i * b.stride), channels);
@@ -94,7 +94,7 @@ fn to_steps(value: f32, zero: f32) -> u8 {
 #[inline(always)]
 pub(crate) unsafe fn copy<T: Copy>(from: Pixels<T>, to: Pixels<T>, channels: usize, count: usize) {
     for i in 0..count {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let source = from.start.add(i * from.stride);
             std::ptr::copy_nonoverlapping(source, to.start.add(i * to.stride), channels);
@@ -115,7 +115,7 @@ pub(crate) unsafe fn rescale(
     count: usize,
 ) {
     for i in 0..count {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let source = std::slice::from_raw_parts(from.start.add(i * from.stride), channels);
             let out = std::slice::from_raw_parts_mut(to.start.add(i * to.stride), channels);
@@ -140,7 +140,7 @@ pub(crate) unsafe fn add(
     count: usize,
 ) {
     for i in 0..count {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let [a, b] =
                 from.map(|p| std::slice::from_raw_parts(p.start.add(i * p.stride), channels));
@@ -161,7 +161,7 @@ pub(crate) unsafe fn add(
 #[inline(always)]
 pub(crate) unsafe fn add_f(from: [Pixels<f32>; 2], to: Pixels<f32>, channels: usize, count: usize) {
     for i in 0..count {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let [a, b] =
                 from.map(|p| std::slice::from_raw_parts(p.start.add(i * p.stride), channels));
@@ -217,7 +217,7 @@ pub(crate) unsafe fn double<T: Mix>(
                 (at / 2, next.min(len - 1))
             };
             let ((row, other_row), (column, other)) = (near(y, height), near(x, width));
-            // SAFETY: the caller's.
+            // SAFETY: guaranteed by the caller.
             unsafe {
                 let pixel = |row: usize, column: usize| {
                     let start = from.start.add((row * width + column) * from.stride);

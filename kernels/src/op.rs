@@ -1,6 +1,6 @@
 //! The operations of a network, and the memory that all share.
 //!
-//! Owns what a step names; how it is done is `step`'s.
+//! Owns the operations and their operands; `step` executes them.
 
 use crate::moves::Rescale;
 use crate::pack::{Packed, PackedF};

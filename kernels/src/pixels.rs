@@ -14,7 +14,7 @@ impl<T> Pixels<T> {
     /// There are as many.
     #[inline(always)]
     pub(crate) unsafe fn skip(self, count: usize) -> Self {
-        // SAFETY: the caller's.
+        // SAFETY: guaranteed by the caller.
         Self { start: unsafe { self.start.add(count * self.stride) }, ..self }
     }
 }

@@ -199,7 +199,7 @@ pub(crate) unsafe fn product<S: Lanes, W: Matrix<S>>(
     let mut done = 0;
     while done < count {
         let block = BLOCK.min(count - done);
-        // SAFETY: the caller's; panels lie one behind the other.
+        // SAFETY: guaranteed by the caller; panels lie one behind the other.
         unsafe {
             let (from, to) = (from.skip(done), to.skip(done));
             for &(first, vectors) in matrix.panels() {

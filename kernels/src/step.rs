@@ -16,7 +16,7 @@ use crate::product::product;
 /// The processor has them; `step` was planned for this arena and for `isa`.
 pub(crate) unsafe fn run_on(isa: Isa, step: &Step, arena: &mut Arena) {
     debug_assert!(isa.is_here(), "{} on a processor without it", isa.name());
-    // SAFETY: the caller's.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         match isa {
             #[cfg(target_arch = "x86_64")]
@@ -40,7 +40,7 @@ macro_rules! compiled {
         #[cfg(target_arch = $arch)]
         #[target_feature(enable = $features)]
         unsafe fn $name(step: &Step, arena: &mut Arena) {
-            // SAFETY: the caller's.
+            // SAFETY: guaranteed by the caller.
             unsafe { run::<$lanes>(step, arena) }
         }
     };

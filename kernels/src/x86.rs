@@ -21,7 +21,7 @@ impl Lanes for Avx512Vnni {
 
     #[inline(always)]
     unsafe fn load_i(from: *const i32) -> Self::I {
-        // SAFETY: the caller's, here and below.
+        // SAFETY: guaranteed by the caller, here and below.
         unsafe { _mm512_loadu_epi32(from) }
     }
     #[inline(always)]
@@ -117,7 +117,7 @@ macro_rules! avx2_lanes {
 
         #[inline(always)]
         unsafe fn load_i(from: *const i32) -> Self::I {
-            // SAFETY: the caller's, here and below.
+            // SAFETY: guaranteed by the caller, here and below.
             unsafe { _mm256_loadu_si256(from.cast()) }
         }
         #[inline(always)]

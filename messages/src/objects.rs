@@ -1,9 +1,9 @@
 //! JSON objects in what people pipe: one a line, with the topic in front or without, wrapped by
 //! the program that received them, pretty-printed, in arrays, as texts of JSON.
 //!
-//! Owns where an object begins and ends, and which messages are in it. What they mean is
-//! [`crate::read`]'s. Memory is bounded
-//! whatever comes, and behind something that is not JSON the next line begins afresh.
+//! Owns where an object begins and ends, and which messages are in it. [`crate::read`]
+//! has their meaning. Memory is bounded whatever comes, and behind something that is not JSON the
+//! next line begins afresh.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;

@@ -1,6 +1,6 @@
 //! The system's errors about files, in an installer's words and with what to do.
 //!
-//! Owns the words. Which file it is, and what follows, its reader or writer says.
+//! Owns the words. The file's name, and the consequence, are added by its reader or writer.
 
 use std::fmt::{self, Display};
 use std::io::{self, ErrorKind};

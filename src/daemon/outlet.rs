@@ -70,8 +70,8 @@ impl Outlet {
         }
     }
 
-    /// From here on windows are another line's, and go to this broker; what waits and the
-    /// numbers go on. The spool keeps `windows` of them.
+    /// From here on windows are of another line, and go to this broker; waiting windows and their
+    /// numbers stay. The spool keeps `windows` of them.
     pub fn change(
         &mut self,
         broker: MqttSettings,

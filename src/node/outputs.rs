@@ -1,7 +1,7 @@
 //! The decision which outputs are closed, by density and by time.
 //!
 //! Owns hysteresis, the least time on, and the way into the fail-safe state and out of it.
-//! Time is the board's, counted from its start; the box's clock decides nothing.
+//! Time is counted by the board, from its start; the box's clock decides nothing.
 
 use super::settings::{MAX_OUTPUTS, Output, Settings};
 use crate::density::SampleZoneStatus;

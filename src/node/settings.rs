@@ -1,7 +1,7 @@
 //! Settings of each output: its lane, its thresholds, its least time on, its fail-safe state.
 //!
-//! Owns the settings and what makes them acceptable. How they travel is [`super::protocol`]'s,
-//! where they are kept [`super::store`]'s.
+//! Owns the settings and what makes them acceptable. [`super::protocol`] carries them,
+//! [`super::store`] keeps them.
 
 use crate::lane::Name;
 use crate::units::LaneId;

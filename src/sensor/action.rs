@@ -1,7 +1,7 @@
 //! Events that the sensor takes, and actions that it returns.
 //!
-//! Plain values; what they mean to windows and alarms is `sensor`'s, who performs them the
-//! daemon's.
+//! Plain values: `sensor` decides what they mean to windows and alarms, and the daemon performs
+//! them.
 
 use super::windows::ClosedWindow;
 use crate::alarm::Alarm;

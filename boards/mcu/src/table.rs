@@ -11,7 +11,7 @@ const MAX_TABLE: usize = 512 << 10;
 /// Memory of the table's largest size is there, and nothing writes it for as long as the program
 /// runs. Any bytes are a table or refused.
 pub unsafe fn read(address: usize) -> Option<LaneTable<&'static [u8]>> {
-    // SAFETY: the caller's.
+    // SAFETY: guaranteed by the caller.
     let bytes = unsafe {
         let len = (address as *const u32).read_volatile() as usize;
         core::slice::from_raw_parts((address + 4) as *const u8, len.min(MAX_TABLE))

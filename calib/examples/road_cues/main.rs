@@ -52,6 +52,9 @@ enum Command {
         /// Print each camera too.
         #[arg(long)]
         each: bool,
+        /// Take the true boxes of vehicles that nothing covers in place of the detector's.
+        #[arg(long)]
+        true_boxes: bool,
     },
 }
 
@@ -64,8 +67,8 @@ fn main() {
                 }
             }
         }
-        Command::Measure { folder, only, draws, each } => {
-            measure::table(&folder, &only, draws, each);
+        Command::Measure { folder, only, draws, each, true_boxes } => {
+            measure::table(&folder, &only, draws, each, true_boxes);
         }
     }
 }

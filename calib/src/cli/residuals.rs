@@ -3,6 +3,7 @@
 //! Owns the lines that `mvcalib calibrate` prints. Does not own what is measured (see `road::fit`).
 
 use mvcalib::road::fit::Fit;
+use mvcalib::road::length_error::LengthError;
 use std::fmt::Write;
 
 /// How each cue of a road fit fits.
@@ -48,6 +49,14 @@ pub fn text(found: &Fit) -> String {
             along.rel_sd * along.length_m,
             100.0 * across.rel_sd,
         ));
+    }
+    for lane in &errors.lanes {
+        let of = |(_, e): &([f64; 2], LengthError)| {
+            format!("{:.1} % ({:.2} m)", 100.0 * e.rel_sd, e.rel_sd * e.length_m)
+        };
+        let [near, middle, far] = lane.places.each_ref().map(of);
+        let name = &lane.name;
+        line(format_args!("{name}: width +- {near} near, +- {middle}, +- {far} far"));
     }
     text
 }

@@ -3,7 +3,9 @@
 use super::{CalibrationFile, print};
 use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Calibration;
-use mvcalib::road::marks::Marks;
+use mvcalib::files::stated::StatedErrors;
+use mvcalib::road::marks::{Accuracy, Marks};
+use mvcalib::trust::MAX_ACROSS_REL_ERR;
 use std::path::PathBuf;
 
 /// Arguments of `verify`.
@@ -18,6 +20,16 @@ pub struct Arguments {
     /// Print one JSON object and no table.
     #[arg(long)]
     json: bool,
+}
+
+/// What is printed as JSON.
+#[derive(Debug, serde::Serialize)]
+struct Verified {
+    #[serde(flatten)]
+    accuracy: Accuracy,
+    /// Standard errors across the road near, in the middle and far, as parts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stated_across: Option<[f64; 3]>,
 }
 
 /// Two-sided 90 % interval of a normal distribution, in standard deviations.
@@ -35,7 +47,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         ));
     }
     let accuracy = marks.verify(&calibration.camera())?;
-    let json = serde_json::to_string(&accuracy).expect("five finite numbers are always JSON");
+    let across = calibration.errors.as_ref().map(StatedErrors::across);
+    let json = serde_json::to_string(&Verified { accuracy, stated_across: across })
+        .expect("finite numbers are always JSON");
     if !arguments.json {
         eprint!("{}", table(&calibration, &marks)?);
     }
@@ -86,5 +100,16 @@ fn table(calibration: &Calibration, marks: &Marks) -> Result<String> {
             calibration.method,
         ),
     };
+    if let Some([near, middle, far]) = calibration.errors.as_ref().map(StatedErrors::across) {
+        let limit = 100.0 * MAX_ACROSS_REL_ERR;
+        let verdict =
+            if near.max(middle).max(far) > MAX_ACROSS_REL_ERR { "TOO MUCH" } else { "fine" };
+        let [near, middle, far] = [near, middle, far].map(|e| 100.0 * e);
+        let _ = writeln!(
+            text,
+            "across the road the stated error is {near:.1} % near, {middle:.1} % in the middle, \
+             {far:.1} % far: {verdict} (limit {limit:.0} %)"
+        );
+    }
     Ok(text)
 }

@@ -105,6 +105,8 @@ pub struct StripLook {
     pub lines: [u32; 2],
     /// Width at its near end, on average and at its far end, m.
     pub width_m: Option<[f64; 3]>,
+    /// Standard errors of these as parts of them.
+    pub width_err: Option<[f64; 3]>,
     /// The lane that it could be, px.
     pub outline: Vec<Px>,
 }

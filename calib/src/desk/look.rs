@@ -224,12 +224,15 @@ fn strip_look(strip: &Strip, found: Option<&Fit>) -> StripLook {
     let name = strip.cue().name;
     let width_m =
         found.and_then(|f| f.lanes.iter().find(|l| l.name == name)).map(|lane| lane.width_m);
+    let width_err = found
+        .and_then(|f| f.errors().lanes.iter().find(|l| l.name == name))
+        .map(|lane| lane.places.map(|(_, error)| error.rel_sd));
     let outline = found.map_or_else(
         || strip.outline(1.0),
         |found| proposed(strip, &found.known).unwrap_or_else(|| strip.outline(1.0)),
     );
     let outline = outline.into_iter().map(Px::from).collect();
-    StripLook { lines: strip.lines, width_m, outline }
+    StripLook { lines: strip.lines, width_m, width_err, outline }
 }
 
 /// The longest near part of a strip that is seen well enough at its far end.

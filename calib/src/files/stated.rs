@@ -67,6 +67,47 @@ pub struct StatedErrors {
     pub middle: StatedError,
     /// At the far end.
     pub far: StatedError,
+    /// Of the width of each lane that was drawn.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lanes: Vec<StatedLane>,
+}
+
+/// Error of the width of a lane.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StatedLane {
+    /// What it is called.
+    pub name: String,
+    /// At its near end.
+    pub near: StatedWidth,
+    /// In its middle.
+    pub middle: StatedWidth,
+    /// At its far end.
+    pub far: StatedWidth,
+}
+
+/// Error of a width at one place.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StatedWidth {
+    /// Where, px.
+    pub at: [f64; 2],
+    /// The width there, m.
+    pub width_m: f64,
+    /// Its standard error, as a part of it.
+    pub rel_err: f64,
+}
+
+impl StatedErrors {
+    /// The worst standard errors across the road near, in the middle and far, as parts: of the
+    /// lanes' widths, or without lanes of a stretch.
+    pub fn across(&self) -> [f64; 3] {
+        if self.lanes.is_empty() {
+            return [self.near.across, self.middle.across, self.far.across];
+        }
+        let worst = |of: fn(&StatedLane) -> StatedWidth| {
+            self.lanes.iter().map(|l| of(l).rel_err).fold(0.0, f64::max)
+        };
+        [worst(|l| l.near), worst(|l| l.middle), worst(|l| l.far)]
+    }
 }
 
 /// Standard errors of a stretch at one place, as parts of it.

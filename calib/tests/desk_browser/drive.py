@@ -295,6 +295,29 @@ def a_wrong_length_is_named(desk, truth, shot):
     assert "good" in desk.page.get_attribute("#camera-card", "class")
 
 
+def dashes_are_found(desk, shot):
+    """Along the drawn lines, in the picture without traffic; the road's edge is solid."""
+    desk.click("#step-2")
+    lengths = desk.page.locator("#lengths .item")
+    before = lengths.count()
+    desk.page.select_option("#dash-standard", label="metres typed later")
+    desk.click("#find-dashes")
+    said = desk.page.locator(".dashes")
+    until(desk, lambda: said.count() > 0 and "…" not in said.all_inner_texts())
+    desk.calm()
+    shot("13-dashes")
+    said = said.all_inner_texts()
+    pitches = [float(m[1]) for m in (re.search(r"dashes, ([0-9.]+) m from one", t) for t in said) if m]
+    # 12 ft and 36 ft.
+    assert pitches and all(abs(p / 14.64 - 1) < 0.1 for p in pitches), said
+    assert any("solid" in t for t in said), said
+    assert lengths.count() == before + len(pitches), said
+    # One undo takes them all back.
+    desk.key("Control+z")
+    desk.calm()
+    assert lengths.count() == before
+
+
 class Camera:
     """A camera that answers each request with the street's next picture."""
 
@@ -457,6 +480,7 @@ def main():
         saved = {f.name: f.read_bytes() for f in site.iterdir()}
         lengths = json.loads(saved["lanes.json"])["shapes"]
         assert [s["label"] for s in lengths] == ["1", "2", "3"]
+        dashes_are_found(desk, shot)
         a_wrong_length_is_named(desk, truth, shot)
         wrong_lanes_are_red(desk, truth, shot)
         assert saved == {f.name: f.read_bytes() for f in site.iterdir()}, "a refusal wrote a file"

@@ -1,11 +1,12 @@
 //! The command blocks of README, tutorial and how-to pages: they run here, or say why they do not.
 //!
-//! ` ```sh run ` runs in a folder that the blocks of a page share, in their order, with the programs
-//! of this build on the path; `with=openssl` names a program that must be there, or the block and
-//! the rest of its page are skipped; `numbers=about` compares output without its digits. Of
-//! ` ```console run ` each line behind `$ ` runs, and must print the lines that follow it; `[..]` is
-//! any text within a line and `...` any lines. ` ```sh needs=X ` does not run: X is one of [`NEEDS`].
-//! A block of another language with `file=NAME` is written to that file, before later blocks run.
+//! ` ```sh run ` runs in a folder that the blocks of a page share, in their order, with the
+//! programs of this build on the path; `with=openssl` names a program that must be there, or the
+//! block and the rest of its page are skipped; `numbers=about` compares output without its digits.
+//! Of ` ```console run ` each line behind `$ ` runs, and must print the lines that follow it;
+//! `[..]` is any text within a line and `...` any lines. ` ```sh needs=X ` does not run: X is one
+//! of [`NEEDS`]. A block of another language with `file=NAME` is written to that file, before later
+//! blocks run.
 
 use crate::pages::{all, root};
 use std::fs;

@@ -1,6 +1,6 @@
 //! `verge run`: measures and publishes until it is stopped.
 //!
-//! Owns the loop and the signals; what a turn does is `running`'s.
+//! Owns the loop and the signals; `running` does the work of a turn.
 
 use crate::daemon::assemble::Assembly;
 use crate::daemon::board::Driven;

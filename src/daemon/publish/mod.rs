@@ -1,7 +1,7 @@
 //! Publish: the last stage, from a window to messages at the broker.
 //!
-//! Owns which message goes when, and the rate of replay. What is kept until it has arrived is
-//! the spool's; the connection is `mqtt`'s; topics and JSON are those of `verge_messages`.
+//! Owns which message goes when, and the rate of replay. The spool keeps windows until they have
+//! arrived, `mqtt` has the connection, `verge_messages` topics and JSON.
 
 pub mod home_assistant;
 #[cfg(feature = "demo")]

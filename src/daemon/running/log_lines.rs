@@ -1,6 +1,6 @@
 //! Log lines about windows: the longest ones, and when the first come.
 //!
-//! Owns the words. When they are written is `hands`' and the loop's.
+//! Owns the words. `hands` and the loop decide when they are written.
 
 use crate::daemon::clock;
 use crate::daemon::publish::payload::status_name;

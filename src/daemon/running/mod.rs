@@ -1,9 +1,8 @@
 //! The running sensor: reads the clocks, turns the line, and does what the core decides.
 //!
-//! Owns nothing of what follows from what: that is [`crate::sensor`]'s. `hands` performs its
-//! actions, `report` writes the health message, `takeover` puts a new configuration in force, `road`
-//! keeps the empty road over restarts.
-//! Knows no signal and no service manager.
+//! Owns no decision: those are made by [`crate::sensor`]. `hands` performs its actions, `report`
+//! writes the health message, `takeover` puts a new configuration in force, `road` keeps the empty
+//! road over restarts. Knows no signal and no service manager.
 
 mod hands;
 mod log_lines;

@@ -1,7 +1,7 @@
 //! The empty road onto the disk, now and then and at the end.
 //!
-//! Owns when it is written, and the thread that does it: a card may take seconds. The file is
-//! `road_file`'s.
+//! Owns when it is written, and the thread that does it: a card may take seconds.
+//! `road_file` has the file.
 
 use crate::daemon::clock;
 use crate::daemon::line::Line;

@@ -1,7 +1,7 @@
 //! A new configuration takes over in the running sensor.
 //!
-//! Owns what changes and in which order; what is loaded is `reload`'s, and when it takes over
-//! is decided by [`crate::sensor`].
+//! Owns the changes and their order; `reload` loads, and [`crate::sensor`] decides when the new one
+//! takes over.
 
 use super::Running;
 use crate::daemon::assemble::Assembly;

@@ -1,10 +1,11 @@
 //! Spool: windows on the disk from the moment they are accepted until the broker has them.
 //!
-//! Owns the numbering of windows, and when one leaves; topics and connections are `publish`'s. A window counts as accepted when it is on the disk. It leaves with its
-//! acknowledgement, or as the oldest when the spool is full, which is counted. A crash at any
-//! moment loses no accepted window; it may bring one back that the broker had taken already,
-//! so that a window may arrive twice, with the same `seq`. A disk that cannot be read acknowledges
-//! nothing: what stands there is asked for again.
+//! Owns the numbering of windows, and when one leaves; `publish` has topics and connections. A
+//! window counts as accepted when it is on the disk. It leaves with its acknowledgement, or as the
+//! oldest when the spool is full, which is counted. A crash at any moment loses no accepted window;
+//! it may bring one back that the broker had taken already, so that a window may arrive twice, with
+//! the same `seq`. A disk that cannot be read acknowledges nothing: what stands there is asked for
+//! again.
 //!
 //! A log of our own and no embedded database: a window is one append and one `fdatasync` of
 //! one or two pages in a file of fixed length, where a copy-on-write tree or a database with

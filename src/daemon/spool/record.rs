@@ -1,6 +1,6 @@
 //! The format of a segment: the spool's files, byte by byte.
 //!
-//! Owns writing and scanning bytes; files are `segment`'s.
+//! Owns writing and scanning bytes; `segment` has the files.
 //!
 //! A segment begins with `VSP` and the format version, 1. Records follow each other; behind
 //! the last of them the file is zero.

@@ -1,6 +1,6 @@
 //! One file of the spool: records that are on the disk when an append returns.
 //!
-//! Owns files and their syncing; what the bytes mean is `record`'s. Only the segment that is
+//! Owns files and their syncing; `record` has the meaning of the bytes. Only the segment that is
 //! written to holds a descriptor: others are opened for each reading, so that their number is
 //! bounded by the disk alone.
 //!

@@ -4,10 +4,10 @@
 //! A camera interface beside the microcontroller writes pictures of 320x240 into memory that both
 //! see; the lane table with the scene's reference lies in memory-mapped flash. It links `picture`,
 //! `scene` with what it learns of the empty road, `alarm` and `lane`, without a panic path and
-//! inside a budget of its own (`boards/mcu/eye/memory.x`): the working grid of a picture, its fields and the
-//! road's memory take thirty times the RAM of counting. The detector between this core and the
-//! counting core (`counting_core.rs`) is another processor's. `tests/node/run` runs both and
-//! measures the stack.
+//! inside a budget of its own (`boards/mcu/eye/memory.x`): the working grid of a picture, its
+//! fields and the road's memory take thirty times the RAM of counting. The detector between this
+//! core and the counting core (`counting_core.rs`) runs on another processor. `tests/node/run` runs
+//! both and measures the stack.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]

@@ -154,6 +154,8 @@ function cameraCard(desk) {
   const good = camera.trust === "ok";
   const names = ["near", "middle", "far"];
   const limit = 0.25;
+  // As `MAX_ACROSS_REL_ERR` of the program.
+  const acrossLimit = 0.2;
   return el("div", { class: `card ${good ? "good" : "bad"}`, id: "camera-card" },
     el("div", { class: `big ${good ? "" : "bad-text"}`, text: `Lengths ± ${percent(camera.whole)}` }),
     !good && el("div", { class: "bad-text", id: "trust", text: camera.trust }),
@@ -169,6 +171,9 @@ function cameraCard(desk) {
       fillBar.style.background = errorColour(e.along);
       return [el("span", { class: "dim", text: names[k] }), el("span", { class: "bar" }, fillBar), el("span", { class: "value", text: `± ${percent(e.along)}` })];
     })),
+    el("div", { class: "facts", id: "across", title: "Of a stretch of 6 m across the road: beyond 20 % a vehicle could count in the wrong lane" },
+      el("span", { class: "dim", text: "across the road" }),
+      ...camera.errors.map((e, k) => el("span", { class: e.across > acrossLimit ? "bad-text" : "", text: `${names[k]} ± ${percent(e.across)}` }))),
     camera.traffic && el("div", { class: "dim", text: `${camera.traffic.used} vehicles agree; cars here would be ${(100 * camera.traffic.longer).toFixed(1)} % longer than most fleets (± ${(100 * camera.traffic.longer_sd).toFixed(1)} %)` }),
   );
 }
@@ -248,7 +253,7 @@ function lines(desk) {
         return el("label", { class: "row", title: "Off where there is no lane between these lines" },
           el("input", { type: "checkbox", checked: true, onchange: () => desk.store.edit((d) => { d.apart.push([s.lines[0], s.lines[1]]); }) }),
           el("span", { text: `a lane between ${a} and ${b}` }),
-          width && el("span", { class: width[1] > 5.5 || width[1] < 1.8 ? "bad-text" : "", text: `${width[1].toFixed(2)} m` }));
+          width && el("span", { class: width[1] > 5.5 || width[1] < 1.8 ? "bad-text" : "", title: s.width_err ? `near ± ${percent(s.width_err[0])}, middle ± ${percent(s.width_err[1])}, far ± ${percent(s.width_err[2])}` : "", text: `${width[1].toFixed(2)} m${s.width_err ? ` ± ${(s.width_err[1] * width[1]).toFixed(2)} m` : ""}` }));
       }),
       ...drawing.apart.filter((pair) => pair.every((id) => place.has(id))).map((pair) =>
         el("label", { class: "row" },

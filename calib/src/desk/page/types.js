@@ -52,7 +52,7 @@
  */
 /** @typedef {{known_m: number, measured_m: number, in_sd: number, doubt: string | null, is_contradicted: boolean}} LengthLook */
 /** @typedef {{sides_m: [number, number], angle_deg: number, in_sd: number}} RectangleLook */
-/** @typedef {{lines: [number, number], width_m: [number, number, number] | null, outline: Px[]}} StripLook */
+/** @typedef {{lines: [number, number], width_m: [number, number, number] | null, width_err: [number, number, number] | null, outline: Px[]}} StripLook */
 /** @typedef {{line: number, points: Px[], pitch_m: number | null, problem: string | null}} LineDashes */
 /** @typedef {{misfit_px: number | null, problem: string | null}} VehicleLook */
 /**

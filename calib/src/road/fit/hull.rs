@@ -21,6 +21,33 @@ pub struct Footing {
     pub away: Vector2<f64>,
     /// Whether it comes towards the camera.
     pub toward: bool,
+    /// From where it is seen.
+    pub look: Look,
+}
+
+/// How many functions of the side that is seen the error of an outline has.
+pub const LOOKS: usize = 4;
+/// Values of these functions for one vehicle, see [`look`].
+pub type Look = [f64; LOOKS];
+
+/// Below this angle to its heading a vehicle is seen from the front or the rear alone, rad.
+const HEAD_ON: f64 = 0.1;
+/// An angle at which a vehicle's side takes as much of the box as its front, rad.
+const OBLIQUE: f64 = 0.3;
+/// A usual angle of a look down at a road, rad.
+const USUAL_STEEPNESS: f64 = 0.22;
+
+/// From where a vehicle on the road is seen: head-on (1 to 0), obliquely (from 0), how steeply (in
+/// factors of two) and from which end (-1 to 1). Between these the error of an outline is smooth.
+pub fn look(height: f64, ground: Vector2<f64>, away: Vector2<f64>, toward: f64) -> Look {
+    let aside = ground.perp(&away).atan2(ground.dot(&away)).abs();
+    let steepness = (height / ground.norm().max(1e-3)).atan();
+    [
+        (1.0 - aside / HEAD_ON).max(0.0),
+        (aside / OBLIQUE).min(1.5),
+        (steepness / USUAL_STEEPNESS).log2().clamp(-2.0, 2.0),
+        2.0 * toward - 1.0,
+    ]
 }
 
 /// The points of a hull that bound its box: left, right, top and low. Near a camera for which they

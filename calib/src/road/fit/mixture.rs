@@ -4,9 +4,9 @@
 //! not own the choice of boxes (see `traffic`) nor the minimisation (see `solve`).
 
 use super::bodies::{ALL, BODIES};
-use super::hull::Footing;
+use super::hull::{Footing, LOOKS, Look};
 use super::lanes::Middle;
-use super::traffic::{SHARED, Seen, Shared, Supports, Traffic, log_size};
+use super::traffic::{OUTLINE, SHARED, Seen, Shared, Supports, Traffic, log_size};
 use super::view::View;
 use nalgebra::{Matrix2, Vector2};
 
@@ -20,10 +20,12 @@ const HEADING_SD: f64 = 2.5 * std::f64::consts::PI / 180.0;
 const OUTLIERS: f64 = 0.06;
 /// A body with a smaller probability for a box is left out of a step.
 const LEAST: f64 = 0.02;
+/// A box may be a body from this probability on.
+const POSSIBLE: f64 = 1e-3;
 /// The bodies' shares before any box is seen are worth so many boxes.
-const SHARE_WORTH: f64 = 25.0;
+pub const SHARE_WORTH: f64 = 25.0;
 /// The assumed scatter is worth so many boxes.
-const SCATTER_WORTH: f64 = 20.0;
+pub const SCATTER_WORTH: f64 = 20.0;
 
 /// The points that bound the bodies of the pairs.
 #[derive(Clone, Debug, Default)]
@@ -50,6 +52,8 @@ pub struct Mixture {
     weight: f64,
     /// The pairs of a box and a body that count, with their weights.
     pairs: Vec<Pair>,
+    /// Every pair that is possible, each as one whole box, with its probability.
+    possible: Vec<(Pair, f64)>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -69,6 +73,18 @@ struct Pair {
     by_size: [Vector2<f64>; 3],
     excess: f64,
     toward: f64,
+    look: Look,
+}
+
+/// A body that a box may be.
+#[derive(Clone, Copy, Debug)]
+pub struct Possible {
+    /// Index of the box.
+    pub seen: usize,
+    /// Index of the body.
+    pub body: usize,
+    /// Its probability.
+    pub p: f64,
 }
 
 impl Mixture {
@@ -82,6 +98,7 @@ impl Mixture {
             scatter: 1.0,
             weight: 1.0,
             pairs: Vec::new(),
+            possible: Vec::new(),
         };
         mixture.hold(traffic, view, lanes, shared);
         mixture
@@ -153,6 +170,7 @@ impl Mixture {
         let (mut total, mut misfit, mut counted) = (0.0, 0.0, 0.0);
         let mut share = [0.0; BODIES];
         let mut weighed: Vec<(Pair, f64)> = Vec::new();
+        self.possible.clear();
         for k in (0..traffic.seen.len()).filter(|&k| self.active[k]) {
             let Some(at) = &footings[k] else { continue };
             let mut row = [(f64::NEG_INFINITY, 0.0); BODIES];
@@ -160,7 +178,7 @@ impl Mixture {
                 let Some(noise) = &self.noise[k][body] else { continue };
                 let predicted = traffic.predict(view, k, at, body, sizes[body], shared);
                 let predicted = predicted.map(|(predicted, _)| predicted);
-                let r = traffic.residual(k, predicted, shared);
+                let r = traffic.residual(k, &at[0].look, predicted, shared);
                 let m0 = r.dot(&(noise.inverse * r));
                 let wide = heat * self.scatter;
                 let log = self.log_share[body] + traffic.seen[k].log_class[body]
@@ -178,15 +196,19 @@ impl Mixture {
                 let gamma = p * ALL[body].trust;
                 misfit += gamma * row[body].1;
                 counted += gamma;
-                if gamma > LEAST
+                if p > POSSIBLE
                     && let Some(noise) = &self.noise[k][body]
                     && let Some(factor) = noise.inverse.cholesky()
                 {
                     let white = factor.l().transpose();
                     let Seen { excess, toward, .. } = traffic.seen[k];
                     let by_size = noise.by_size;
-                    let pair = Pair { seen: k, body, white, by_size, excess, toward };
-                    weighed.push((pair, gamma));
+                    let pair =
+                        Pair { seen: k, body, white, by_size, excess, toward, look: at[0].look };
+                    self.possible.push((pair, p));
+                    if gamma > LEAST {
+                        weighed.push((pair, gamma));
+                    }
                 }
             }
         }
@@ -207,7 +229,23 @@ impl Mixture {
             pair.white *= (gamma * self.weight / self.scatter).sqrt();
             self.pairs.push(pair);
         }
+        for (pair, _) in &mut self.possible {
+            pair.white /= self.scatter.sqrt();
+        }
         self.weight * total
+    }
+
+    /// The mixture whose pairs are all that are possible, each as one whole box; and what each is.
+    pub fn possible(&self) -> (Mixture, Vec<Possible>) {
+        let pairs = self.possible.iter().map(|(pair, _)| *pair).collect();
+        let of = |&(pair, p): &(Pair, f64)| Possible { seen: pair.seen, body: pair.body, p };
+        let of = self.possible.iter().map(of).collect();
+        (Mixture { pairs, possible: Vec::new(), ..self.clone() }, of)
+    }
+
+    /// Evidence of one box.
+    pub fn weight(&self) -> f64 {
+        self.weight
     }
 
     /// Whitened residuals of the pairs that count. `bounding` takes the points that bound them, or
@@ -247,7 +285,8 @@ impl Mixture {
             if !bounding.is_held && bounding.of_pairs.len() <= k {
                 bounding.of_pairs.push(None);
             }
-            let r = pair.white * traffic.residual(seen, predicted, shared);
+            let look = footings[seen].as_ref().map_or(pair.look, |at| at[0].look);
+            let r = pair.white * traffic.residual(seen, &look, predicted, shared);
             out.extend([r.x, r.y]);
         }
     }
@@ -262,7 +301,8 @@ impl Mixture {
         self.pairs.iter().map(|pair| {
             let [w, l, h] = pair.by_size;
             let (car, other) = if ALL[pair.body].car { (1.0, 0.0) } else { (0.0, 1.0) };
-            let columns: [Vector2<f64>; SHARED] = [
+            let mut columns = [Vector2::zeros(); SHARED];
+            let sizes_and_drawing = [
                 -w,
                 -l * car,
                 -h * car,
@@ -275,6 +315,11 @@ impl Mixture {
                 -l * pair.toward,
                 -l * (1.0 - pair.toward),
             ];
+            columns[..OUTLINE].copy_from_slice(&sizes_and_drawing);
+            for (j, look) in pair.look.into_iter().enumerate() {
+                columns[OUTLINE + j] = Vector2::new(-look, 0.0);
+                columns[OUTLINE + LOOKS + j] = Vector2::new(0.0, -look);
+            }
             let white = columns.map(|c| pair.white * c);
             [white.map(|c| c.x), white.map(|c| c.y)]
         })

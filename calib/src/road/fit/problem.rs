@@ -224,17 +224,16 @@ impl<'a> Problem<'a> {
                 let at = first + 2 * pair + half;
                 for a in 0..SHARED {
                     gradient[CAMERA + a] += row[a] * r0[at];
-                    for b in 0..SHARED {
-                        information[(CAMERA + a, CAMERA + b)] += row[a] * row[b];
-                    }
                     for (b, column) in columns.iter().enumerate() {
-                        let cross = row[a] * column[at];
-                        information[(CAMERA + a, b)] += cross;
-                        information[(b, CAMERA + a)] += cross;
+                        information[(CAMERA + a, b)] += row[a] * column[at];
+                    }
+                    for b in 0..=a {
+                        information[(CAMERA + a, CAMERA + b)] += row[a] * row[b];
                     }
                 }
             }
         }
+        information.fill_upper_triangle_with_lower_triangle();
         Some((information, gradient))
     }
 }

@@ -1,8 +1,8 @@
 //! The minimisation: Levenberg-Marquardt over all cues, from several focal lengths, with
 //! the mixture of the traffic updated outside.
 //!
-//! Owns starts, steps and the curvature at the optimum. Does not own priors and residuals (see
-//! `prior`, `problem`) nor what is made of the result (see the chapter's `mod`).
+//! Owns starts and steps. Does not own priors and residuals (see `prior`, `problem`), what the boxes
+//! tell less at the optimum (see `observed`) nor what is made of the result (see the chapter's `mod`).
 
 use super::marks::{self, typical};
 use super::mixture::Mixture;
@@ -272,7 +272,10 @@ impl Problem<'_> {
         let mut r = Vec::new();
         self.residuals(&theta, mixture.as_ref(), &mut r)?;
         let all = [true; CAMERA];
-        let (information, _) = self.normal(&theta, mixture.as_ref(), &r, &all)?;
+        let (mut information, _) = self.normal(&theta, mixture.as_ref(), &r, &all)?;
+        if let Some(mixture) = &mixture {
+            information = self.observed(&theta, mixture, &information)?;
+        }
         let cost = self.score(&theta, mixture.as_ref());
         Some(Optimum { theta, cost, information, mixture })
     }

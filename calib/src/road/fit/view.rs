@@ -80,6 +80,11 @@ impl View {
         self.centre
     }
 
+    /// Height above the road, m.
+    pub fn height_m(&self) -> f64 {
+        self.height
+    }
+
     /// The image point (px) of a point, x and y on the ground and z above the road, m. What
     /// lies behind the camera is held before it.
     pub fn project(&self, p: Vector3<f64>) -> Vector2<f64> {

@@ -1,8 +1,8 @@
 //! One connection to a broker: TCP, TLS where it is asked for, packets in and out.
 //!
-//! Owns the socket and its time limits, pings, and what a connection that ends is called. What is
-//! sent when is `worker`'s; bytes are `packet`'s. Every connection starts clean: what was not
-//! acknowledged is ours to send again.
+//! Owns the socket and its time limits, pings, and the words for the end of a connection. `worker`
+//! decides what is sent and when, `packet` makes the bytes. Every connection starts clean: we send
+//! again what was not acknowledged.
 //!
 //! The sockets are blocking ones of our own, and not those of an MQTT client: so one packet is
 //! held at a time whatever a broker sends, and each address of a name gets its turn.

@@ -1,8 +1,8 @@
 //! Packets of MQTT 3.1.1 and 5 as bytes, in the same few words for both: the door of the crate
 //! `rumqttc`, of which only the packets are used.
 //!
-//! Owns what may come from a broker and how long it may be; `written` has what is sent to it. The
-//! socket is `link`'s.
+//! Owns the packets that may come from a broker and their length; `written` has those that are sent
+//! to it, `link` the socket.
 
 mod written;
 

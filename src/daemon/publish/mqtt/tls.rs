@@ -1,7 +1,7 @@
 //! Certificates: whom we trust, and who we are to a broker that asks.
 //!
 //! Owns the files of the configuration that secure the connection, and the message where that
-//! fails. Which certificate is taken is `trust`'s.
+//! fails. `trust` decides which certificate is accepted.
 
 use super::link::End as LinkEnd;
 use crate::daemon::certificate::{End, not_after};

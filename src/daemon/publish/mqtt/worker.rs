@@ -1,9 +1,9 @@
 //! The life of sessions: connect, send in order, hear acknowledgements, back off.
 //!
-//! Owns reconnection, and when what is sent; what follows from what a broker does is `verdict`'s.
-//! `outbox` has the queues, `bans` what is set aside, `echo` the proof that 3.1.1 lacks. States (health, alarms, discovery) are
-//! kept until a broker has them; windows live in a session and no longer, for the spool has them
-//! and gives them again to the next.
+//! Owns reconnection, and what is sent when; `verdict` draws the consequences of a broker's
+//! behaviour. `outbox` has the queues, `bans` the messages set aside, `echo` the proof that 3.1.1
+//! lacks. States (health, alarms, discovery) are kept until a broker has them; windows live in a
+//! session and no longer, for the spool has them and gives them again to the next.
 
 mod verdict;
 

@@ -180,9 +180,21 @@ fn it_ends_and_comes_back() {
 }
 
 #[test]
-fn what_cannot_be_read_is_named() {
+fn h265_is_read_where_it_was_built_in() {
     let Some(camera) = Camera::start(&["h265"]) else { return };
-    let said = Source::network(camera.settings("rtsp")).next(&mut Frame::default());
-    let said = said.expect_err("H.265").to_string();
-    assert!(said.contains("H265") && said.contains("H.264"), "{said}");
+    for every_picture in [false, true] {
+        let settings = CameraSettings { every_picture, ..camera.settings("rtsp") };
+        let (mut source, mut frame) = (Source::network(settings), Frame::default());
+        if cfg!(not(feature = "h265")) {
+            let said = source.next(&mut frame).expect_err("H.265").to_string();
+            assert!(said.contains("H265") && said.contains("to H.264"), "{said}");
+            continue;
+        }
+        assert_eq!(until_new(&mut source, &mut frame), [""; 0], "{every_picture}");
+        assert_eq!((frame.picture.width, frame.picture.height), (320, 240));
+        assert_shows_bars(&frame);
+        let described = source.video().expect("a video");
+        assert!(described.contains("H.265 main, 320x240 px"), "{described}");
+        assert_eq!(source.counts().flagged, 0);
+    }
 }

@@ -312,7 +312,7 @@ fn the_daemons_hub_takes_nothing_from_a_stage() {
 }
 
 /// Crates that are not ours, each with the places that may name it.
-const DOORS: [(&str, &str); 15] = [
+const DOORS: [(&str, &str); 16] = [
     ("tract_onnx", "src/daemon/detect/"),
     ("verge_tract", "src/daemon/detect/"),
     ("verge_kernels", "src/daemon/detect/"),
@@ -323,7 +323,8 @@ const DOORS: [(&str, &str); 15] = [
     ("embedded_graphics", "src/daemon/overlay/"),
     ("png", "src/daemon/capture/picture/"),
     ("jpeg_decoder", "src/daemon/capture/picture/half.rs"),
-    ("rust_h264", "src/daemon/capture/rtsp/video.rs"),
+    ("rust_h264", "src/daemon/capture/rtsp/video/h264.rs"),
+    ("rusty_h265", "src/daemon/capture/rtsp/video/h265.rs"),
     ("http_auth", "src/daemon/capture/network/"),
     // In answers of cameras, and in messages that are piped into `convert`.
     ("flate2", "src/daemon/capture/ src/daemon/commands/convert.rs"),

@@ -380,7 +380,7 @@ fn faults_are_named() {
     for (server, expected) in [
         (missing, "RTSP status 404; check the path"),
         (described("v=0\r\nm=audio 0 RTP/AVP 0\r\n"), "no video"),
-        (described("v=0\r\nm=video 0 RTP/AVP 98\r\na=rtpmap:98 H265/90000\r\n"), "streams H265"),
+        (described("v=0\r\nm=video 0 RTP/AVP 98\r\na=rtpmap:98 VP9/90000\r\n"), "streams VP9"),
         (Server::playing(only_predicted), "no key picture among them"),
         (Server::playing(vec![Step::Wait(3000)]), "no picture"),
     ] {

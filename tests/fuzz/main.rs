@@ -7,7 +7,7 @@
 //! `docs/measured/fuzzing.md`.
 //!
 //! Targets: `pictures`, `large_pictures`; `http_answers`, `streams`, `descriptions`, `packets`,
-//! `sessions` (camera); `models`, `configurations`, `lane_tables`, `spool_recovery` (files);
+//! `h265` (where it is built in), `sessions` (camera); `models`, `configurations`, `lane_tables`, `spool_recovery` (files);
 //! `wire_messages`, `json_messages` (messages read back). `hour` puts a camera that sends anything
 //! in front of the whole program.
 

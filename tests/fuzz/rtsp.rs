@@ -7,6 +7,9 @@ use std::net::{Ipv4Addr, TcpListener};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use verge::daemon::address::Address;
+use verge::daemon::capture::rtsp::assembler::{Assembler, Syntax};
+#[cfg(feature = "h265")]
+use verge::daemon::capture::rtsp::h265;
 use verge::daemon::capture::rtsp::{Unit, h264, jpeg, rtp::Packet, sdp, video::Video};
 use verge::daemon::capture::{CameraSettings, DecodeError, Source};
 use verge::daemon::frame::{Frame, Picture};
@@ -67,9 +70,10 @@ fn descriptions() {
     });
 }
 
-/// Packets of a recorded stream, each with its length in front.
-fn packets() -> Vec<u8> {
-    let stream = std::fs::read("tests/data/video/main.h264").expect("it ships");
+/// Packets of a recorded stream, each with its length in front; `head` is that of parts of a unit
+/// whose own header is so long.
+fn packets(file: &str, head: impl Fn(usize) -> [u8; 3], header: usize) -> Vec<u8> {
+    let stream = std::fs::read(format!("tests/data/video/{file}")).expect("it ships");
     let mut bytes = Vec::new();
     let mut starts: Vec<_> =
         (0..stream.len() - 3).filter(|&at| stream[at..at + 3] == [0, 0, 1]).collect();
@@ -77,9 +81,9 @@ fn packets() -> Vec<u8> {
     for (number, pair) in starts.windows(2).enumerate() {
         let unit = &stream[pair[0] + 3..pair[1] - 1];
         for (at, part) in unit.chunks(400).enumerate() {
-            let head =
-                if unit.len() <= 400 { vec![] } else { vec![0x7c, if at == 0 { 0x85 } else { 5 }] };
-            let payload = [head, part.to_vec()].concat();
+            let head = head(at);
+            let head = if unit.len() <= 400 { &[] } else { &head[..=header] };
+            let payload = [head, part].concat();
             bytes.extend((payload.len() as u16 + 12).to_be_bytes());
             bytes.extend([0x80, 96, 0, number as u8, 0, 0, 0, (number / 3) as u8, 0, 0, 0, 1]);
             bytes.extend(payload);
@@ -93,7 +97,7 @@ fn packets_of_video() {
     let target = Target {
         name: "packets",
         executions: 10_000,
-        corpus: vec![packets()],
+        corpus: vec![packets("main.h264", |at| [0x7c, if at == 0 { 0x85 } else { 5 }, 0], 1)],
         tokens: &[
             b"\x67\x64\0",
             b"\x68\xee",
@@ -107,26 +111,46 @@ fn packets_of_video() {
         ],
         longest: 1 << 14,
     };
-    target.run(|_, input| {
-        let (mut video, mut pictures) = (h264::Assembler::default(), jpeg::Assembler::default());
-        let (mut unit, mut picture, mut rest) =
-            (Unit::default(), Picture::default(), input.as_slice());
-        let (mut given, mut said) = (0, String::new());
-        while let Some((&[high, low], tail)) = rest.split_first_chunk::<2>() {
-            let length = usize::from(u16::from_be_bytes([high, low])).min(tail.len());
-            let (bytes, tail) = tail.split_at(length);
-            rest = tail;
-            let Some(packet) = Packet::parse(bytes) else { continue };
-            pictures.push(&packet, &mut unit);
-            if video.push(&packet, &mut unit) {
-                given += 1;
-                let result = Video::default().decode(&unit.bytes, None, &mut picture);
-                assert!(!matches!(result, Err(DecodeError::Decoder)), "the decoder panics");
-                said = outcome(result, |()| magnitude(picture.rgb.len()));
-            }
+    target.run(|_, input| put_together(input, h264::Assembler::default()));
+}
+
+/// Packets of H.265, as of the stream that ships.
+#[cfg(feature = "h265")]
+#[test]
+fn packets_of_h265() {
+    let target = Target {
+        name: "h265",
+        executions: 10_000,
+        corpus: vec![packets(
+            "main.h265",
+            |part| [0x62, 1, if part == 0 { 0x94 } else { 0x14 }],
+            2,
+        )],
+        tokens: &[b"\x42\x01", b"\x44\x01", b"\x26\x01\xaf", b"\x62\x01\x94", b"\x60\x01\0\x04"],
+        longest: 1 << 14,
+    };
+    target.run(|_, input| put_together(input, h265::Assembler::default()));
+}
+
+/// What becomes of packets, each with its length in front.
+fn put_together<S: Syntax>(input: &[u8], mut video: Assembler<S>) -> String {
+    let mut pictures = jpeg::Assembler::default();
+    let (mut unit, mut picture, mut rest) = (Unit::default(), Picture::default(), input);
+    let (mut given, mut said) = (0, String::new());
+    while let Some((&[high, low], tail)) = rest.split_first_chunk::<2>() {
+        let length = usize::from(u16::from_be_bytes([high, low])).min(tail.len());
+        let (bytes, tail) = tail.split_at(length);
+        rest = tail;
+        let Some(packet) = Packet::parse(bytes) else { continue };
+        pictures.push(&packet, &mut unit);
+        if video.push(&packet, &mut unit) {
+            given += 1;
+            let result = Video::alone(unit.coding).decode(&unit.bytes, None, &mut picture);
+            assert!(!matches!(result, Err(DecodeError::Decoder)), "the decoder panics");
+            said = outcome(result, |()| magnitude(picture.rgb.len()));
         }
-        format!("{} {said}", magnitude(given))
-    });
+    }
+    format!("{} {said}", magnitude(given))
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! Huffman tables are left out still: the decoder's door adds the standard's.
 
 use super::rtp::{Follows, Order, Packet};
-use super::{MAX_UNIT, Unit};
+use super::{Coding, MAX_UNIT, Unit};
 
 /// Quantisers of quality 50 in the order in which they are stored (RFC 2435, appendix A; ITU-T
 /// T.81, tables K.1 and K.2).
@@ -65,7 +65,7 @@ impl Assembler {
         let whole = !self.broken && !self.header.is_empty();
         self.refused += u64::from(!whole);
         if whole {
-            unit.jpeg = true;
+            unit.coding = Coding::Jpeg;
             unit.key = true;
             unit.bytes.clear();
             unit.bytes.extend_from_slice(&self.header);

@@ -2,14 +2,17 @@
 //!
 //! Owns the stream's thread, which reads all and keeps the latest picture that can be measured,
 //! and what is known of the stream: losses, refused pictures, key interval. [`session`] is the
-//! protocol, [`sdp`] the description, [`rtp`], [`h264`] and [`jpeg`] make whole pictures of
-//! packets, [`video`] decodes.
+//! protocol, [`sdp`] the description, [`rtp`], [`assembler`] with [`h264`] and [`h265`], and [`jpeg`]
+//! make whole pictures of packets, [`video`] decodes.
 //!
 //! Where density alone is asked for, key pictures, which decode without others, are enough:
 //! they are kept as they come, and one is decoded when the line asks for it. Where every picture
 //! is asked for, the thread decodes them all, for each builds on the one before.
 
+pub mod assembler;
 pub mod h264;
+#[cfg(feature = "h265")]
+pub mod h265;
 pub mod jpeg;
 pub mod rtp;
 pub mod sdp;
@@ -41,13 +44,38 @@ const OLDEST: Duration = Duration::from_secs(10);
 /// Bad packets in a row before a stream is given up.
 const MOST_BAD_PACKETS: u32 = 1000;
 
+/// How a picture is coded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Coding {
+    /// JPEG.
+    #[default]
+    Jpeg,
+    /// H.264 in Annex B's form.
+    H264,
+    /// H.265 in Annex B's form.
+    #[cfg(feature = "h265")]
+    H265,
+}
+
+impl Coding {
+    /// As people write it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Jpeg => "JPEG",
+            Self::H264 => "H.264",
+            #[cfg(feature = "h265")]
+            Self::H265 => "H.265",
+        }
+    }
+}
+
 /// A coded picture, or a decoded one.
 #[derive(Debug, Default)]
 pub struct Unit {
-    /// JPEG or H.264 in Annex B's form.
+    /// As [`Self::coding`] says.
     pub bytes: Vec<u8>,
-    /// JPEG, not H.264.
-    pub jpeg: bool,
+    /// How they are coded.
+    pub coding: Coding,
     /// It decodes without others.
     pub key: bool,
     /// It is decoded already, and this is it.
@@ -162,9 +190,7 @@ impl Rtsp {
                 frame.picture = picture;
                 Ok(())
             }
-            None => {
-                decode(&self.unit, self.settings.shape(), &mut Video::default(), &mut frame.picture)
-            }
+            None => decode(&self.unit, self.settings.shape(), &mut frame.picture),
         };
         decoded.map_err(|source| {
             self.undecoded += 1;
@@ -184,45 +210,67 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn decode(
-    unit: &Unit,
-    shape: Option<Shape>,
-    video: &mut Video,
-    picture: &mut Picture,
-) -> Result<(), DecodeError> {
-    if unit.jpeg {
-        decode_shaped(&unit.bytes, shape, picture)
-    } else {
-        video.decode(&unit.bytes, shape, picture)
+/// Decodes a key picture.
+fn decode(unit: &Unit, shape: Option<Shape>, picture: &mut Picture) -> Result<(), DecodeError> {
+    match unit.coding {
+        Coding::Jpeg => decode_shaped(&unit.bytes, shape, picture),
+        coding => Video::alone(coding).decode(&unit.bytes, shape, picture),
     }
 }
 
 /// Assembles packets into pictures.
 enum Assembler {
-    H264(Box<h264::Assembler>),
     Jpeg(jpeg::Assembler),
+    H264(Box<h264::Assembler>),
+    #[cfg(feature = "h265")]
+    H265(Box<h265::Assembler>),
 }
 
 impl Assembler {
+    fn new(described: &sdp::Video) -> Self {
+        match described.codec {
+            #[cfg(feature = "h265")]
+            Codec::H265 => Self::H265(Box::new(h265::Assembler::new(&described.sets))),
+            Codec::Jpeg => Self::Jpeg(jpeg::Assembler::default()),
+            _ => Self::H264(Box::new(h264::Assembler::new(&described.sets))),
+        }
+    }
+
+    fn coding(&self) -> Coding {
+        match self {
+            Self::Jpeg(_) => Coding::Jpeg,
+            Self::H264(_) => Coding::H264,
+            #[cfg(feature = "h265")]
+            Self::H265(_) => Coding::H265,
+        }
+    }
+
     fn push(&mut self, packet: &Packet<'_>, unit: &mut Unit) -> bool {
         match self {
-            Self::H264(assembler) => assembler.push(packet, unit),
             Self::Jpeg(assembler) => assembler.push(packet, unit),
+            Self::H264(assembler) => assembler.push(packet, unit),
+            #[cfg(feature = "h265")]
+            Self::H265(assembler) => assembler.push(packet, unit),
         }
     }
 
     fn counts(&self) -> (u64, u64) {
         match self {
-            Self::H264(assembler) => (assembler.lost, assembler.refused),
             Self::Jpeg(assembler) => (assembler.lost, assembler.refused),
+            Self::H264(assembler) => (assembler.lost, assembler.refused),
+            #[cfg(feature = "h265")]
+            Self::H265(assembler) => (assembler.lost, assembler.refused),
         }
     }
 
     fn described(&self) -> Option<video::Description> {
-        match self {
-            Self::H264(assembler) => assembler.sequence_set().and_then(video::describe),
+        let sequence_set = match self {
             Self::Jpeg(_) => None,
-        }
+            Self::H264(assembler) => assembler.sequence_set(),
+            #[cfg(feature = "h265")]
+            Self::H265(assembler) => assembler.sequence_set(),
+        };
+        video::describe(self.coding(), sequence_set?)
     }
 }
 
@@ -241,15 +289,12 @@ impl Reader {
             Ok(playing) => playing,
             Err(fault) => return fault,
         };
-        let mut assembler = match described.codec {
-            Codec::Jpeg => Assembler::Jpeg(jpeg::Assembler::default()),
-            _ => Assembler::H264(Box::new(h264::Assembler::new(&described.sets))),
-        };
+        let mut assembler = Assembler::new(&described);
         {
             let mut stream = locked(&self.stream);
             let (lost, refused) = (stream.lost, stream.refused);
             *stream = Stream { lost, refused, login: login.scheme(), ..Stream::default() };
-            stream.codec = if described.codec == Codec::Jpeg { "JPEG" } else { "H.264" }.to_owned();
+            assembler.coding().name().clone_into(&mut stream.codec);
             stream.since = Some(Instant::now());
         }
         let fault = self.play(&mut session, &mut login, &mut assembler, latest);
@@ -299,7 +344,7 @@ impl Reader {
             }
             if !is_described && let Some(described) = assembler.described() {
                 is_described = true;
-                stream.codec = format!("H.264 {}", described.profile);
+                stream.codec = format!("{} {}", assembler.coding().name(), described.profile);
                 stream.size = Some(described.size);
             }
             stream.pictures += 1;
@@ -310,7 +355,7 @@ impl Reader {
                 stream.key_interval = before.map(|before| now - before).or(stream.key_interval);
             }
             drop(stream);
-            if self.settings.every_picture && !unit.jpeg {
+            if self.settings.every_picture && unit.coding != Coding::Jpeg {
                 if every.decode(&mut unit, self.settings.shape()) {
                     latest.put(&mut unit);
                 }
@@ -332,7 +377,7 @@ struct Every {
 impl Every {
     fn decode(&mut self, unit: &mut Unit, shape: Option<Shape>) -> bool {
         if unit.key && self.video.is_none() {
-            self.video = Some(Video::every());
+            self.video = Some(Video::every(unit.coding));
         }
         let Some(video) = &mut self.video else { return false };
         let mut picture = unit.picture.take().unwrap_or_default();

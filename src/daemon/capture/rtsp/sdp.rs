@@ -1,6 +1,6 @@
 //! The description of a camera's streams (SDP, RFC 8866, as RTSP uses it).
 //!
-//! Owns which stream is taken: the first video that can be decoded. Knows no network.
+//! Owns which stream is taken: the first video that can be decoded, H.265 last. Knows no network.
 
 use crate::daemon::foreign::shown;
 use base64::{Engine, prelude::BASE64_STANDARD as BASE64};
@@ -14,6 +14,9 @@ const MAX_SET: usize = 4 << 10;
 pub enum Codec {
     /// H.264 (RFC 6184).
     H264,
+    /// H.265 (RFC 7798).
+    #[cfg(feature = "h265")]
+    H265,
     /// JPEG (RFC 2435).
     Jpeg,
     /// One that is not read, by its name.
@@ -63,9 +66,14 @@ pub fn video(text: &str) -> Option<Video> {
             }
         }
     }
-    let known = |media: &Media<'_>| media.is_video && !matches!(media.codec(), Codec::Other(_));
-    let media =
-        videos.iter().find(|media| known(media)).or(videos.iter().find(|media| media.is_video))?;
+    // Of several the first whose pictures cost least to read.
+    let rank = |media: &&Media<'_>| match media.codec() {
+        Codec::H264 | Codec::Jpeg => 0,
+        #[cfg(feature = "h265")]
+        Codec::H265 => 1,
+        Codec::Other(_) => 2,
+    };
+    let media = videos.iter().filter(|media| media.is_video).min_by_key(rank)?;
     Some(Video {
         codec: media.codec(),
         control: media.control.map(str::to_owned),
@@ -107,6 +115,8 @@ impl<'a> Media<'a> {
         let name = self.encoding.and_then(|encoding| encoding.trim().split('/').next());
         match name.map(str::to_ascii_uppercase).as_deref() {
             Some("H264") => Codec::H264,
+            #[cfg(feature = "h265")]
+            Some("H265") => Codec::H265,
             Some("JPEG") => Codec::Jpeg,
             None if self.format == "26" => Codec::Jpeg,
             Some(name) => Codec::Other(shown(name)),
@@ -116,15 +126,28 @@ impl<'a> Media<'a> {
 
     fn sets(&self) -> Vec<Vec<u8>> {
         let parameters = self.parameters.unwrap_or_default();
-        let value = parameters.split(';').find_map(|parameter| {
-            let (name, value) = parameter.split_once('=')?;
-            name.trim().eq_ignore_ascii_case("sprop-parameter-sets").then_some(value.trim())
+        // Of H.264, then of H.265.
+        let names = ["sprop-parameter-sets", "sprop-vps", "sprop-sps", "sprop-pps"];
+        let values = names.into_iter().filter_map(|wanted| {
+            parameters.split(';').find_map(|parameter| {
+                let (name, value) = parameter.split_once('=')?;
+                name.trim().eq_ignore_ascii_case(wanted).then_some(value.trim())
+            })
         });
-        let sets = value.unwrap_or_default().split(',').take(MAX_SETS);
+        let sets = values.flat_map(|value| value.split(',')).take(MAX_SETS);
         sets.filter(|set| !set.is_empty() && set.len() <= MAX_SET)
             .filter_map(|set| BASE64.decode(set.trim()).ok())
             .collect()
     }
+}
+
+/// What is wrong with a stream of this codec, and what to do.
+pub fn unread(codec: &str) -> String {
+    let read = if cfg!(feature = "h265") { "H.264, H.265 and JPEG" } else { "H.264 and JPEG" };
+    format!(
+        "the camera streams {codec}: this verge reads {read}. Set this stream, or the substream, \
+         to H.264"
+    )
 }
 
 /// The address of a stream: its control attribute against the address that was described.
@@ -163,10 +186,22 @@ mod tests {
     fn other_codecs_are_named() {
         let one = |text: &str| video(text).map(|video| video.codec);
         assert_eq!(one("m=video 0 RTP/AVP 26\n"), Some(Codec::Jpeg));
-        let text = "m=video 0 RTP/AVP 98\na=rtpmap:98 H265/90000\n";
-        assert_eq!(one(text), Some(Codec::Other("H265".into())));
+        let text = "m=video 0 RTP/AVP 98\na=rtpmap:98 VP9/90000\n";
+        assert_eq!(one(text), Some(Codec::Other("VP9".into())));
         assert_eq!(one("m=audio 0 RTP/AVP 0\n"), None);
         assert_eq!(one(""), None);
+    }
+
+    #[test]
+    fn h265_is_read_where_it_was_built_in() {
+        let text = "m=video 0 RTP/AVP 98\na=rtpmap:98 H265/90000\n\
+                    a=fmtp:98 sprop-vps=QAE=; sprop-sps=QgE=;sprop-pps=RAE=\n";
+        let video = video(text).expect("a video");
+        assert_eq!(video.sets, [[0x40, 1], [0x42, 1], [0x44, 1]]);
+        #[cfg(feature = "h265")]
+        assert_eq!(video.codec, Codec::H265);
+        #[cfg(not(feature = "h265"))]
+        assert_eq!(video.codec, Codec::Other("H265".into()));
     }
 
     #[test]

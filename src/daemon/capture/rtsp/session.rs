@@ -131,10 +131,7 @@ impl Session {
             Fault::NoPicture("the camera's description has no video: is the path right?".to_owned())
         })?;
         if let Codec::Other(name) = &video.codec {
-            return Err(Fault::NoPicture(format!(
-                "the camera streams {name}: verge reads H.264 and JPEG. Set this stream, or the \
-                 substream, to H.264"
-            )));
+            return Err(Fault::NoPicture(sdp::unread(name)));
         }
         let base = [head.get("content-base"), head.get("content-location")];
         let base =

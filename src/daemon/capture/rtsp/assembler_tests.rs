@@ -1,3 +1,4 @@
+use super::super::h264::{Assembler, H264};
 use super::*;
 
 /// Units without start codes.
@@ -17,7 +18,7 @@ fn packets(unit: &[u8], size: usize) -> Vec<Vec<u8>> {
         index if index + 1 == parts.len() => 0x40,
         _ => 0,
     };
-    let head = |index| [unit[0] & 0xe0 | FRAGMENT, mark(index) | unit[0] & 31];
+    let head = |index| [unit[0] & 0xe0 | H264::FRAGMENT, mark(index) | unit[0] & 31];
     parts.iter().enumerate().map(|(index, part)| [&head(index)[..], part].concat()).collect()
 }
 
@@ -26,7 +27,7 @@ fn assembled(size: usize, drop: Option<usize>, marker: bool) -> (Vec<(bool, Vec<
     let (mut assembler, mut unit, mut given) = (Assembler::default(), Unit::default(), Vec::new());
     let (mut sequence, mut timestamp) = (u16::MAX - 3, 0);
     for one in units() {
-        let is_slice = matches!(one[0] & 31, SLICE | SLICE_IDR);
+        let is_slice = matches!(one[0] & 31, 1 | 5);
         let all = packets(&one, size);
         for (index, payload) in all.iter().enumerate() {
             let marker = marker && is_slice && index + 1 == all.len();
@@ -68,7 +69,7 @@ fn a_clock_that_stands_still_costs_no_picture() {
     let (mut assembler, mut unit, mut given) = (Assembler::default(), Unit::default(), Vec::new());
     let mut sequence = 0;
     for one in units() {
-        let is_slice = matches!(one[0] & 31, SLICE | SLICE_IDR);
+        let is_slice = matches!(one[0] & 31, 1 | 5);
         let all = packets(&one, 300);
         for (index, payload) in all.iter().enumerate() {
             let marker = is_slice && index + 1 == all.len();
@@ -102,7 +103,7 @@ fn a_picture_with_a_packet_missing_is_not_given() {
 #[test]
 fn a_parameter_set_that_differs_counts_when_it_comes_twice() {
     let sets: Vec<_> =
-        units().into_iter().filter(|unit| unit[0] & 31 == SEQUENCE_SET).take(1).collect();
+        units().into_iter().filter(|unit| unit[0] & 31 == H264::SEQUENCE_SET).take(1).collect();
     let mut assembler = Assembler::new(&sets);
     let mut damaged = sets[0].clone();
     *damaged.last_mut().expect("bytes") ^= 0x10;
@@ -119,7 +120,7 @@ fn a_parameter_set_that_differs_counts_when_it_comes_twice() {
 fn aggregates_and_start_codes_in_packets_are_read() {
     let all = units();
     let (mut one, mut unit) = (Assembler::default(), Unit::default());
-    let aggregate = all[..3].iter().fold(vec![AGGREGATE], |mut bytes, unit| {
+    let aggregate = all[..3].iter().fold(vec![H264::AGGREGATE], |mut bytes, unit| {
         bytes.extend((unit.len() as u16).to_be_bytes());
         bytes.extend(unit);
         bytes
@@ -146,7 +147,7 @@ fn aggregates_and_start_codes_in_packets_are_read() {
 #[test]
 fn memory_is_bounded_and_rubbish_never_panics() {
     let (mut assembler, mut unit) = (Assembler::default(), Unit::default());
-    let payload = [&[FRAGMENT, 0x85, 0xb8][..], &[7; 60_000]].concat();
+    let payload = [&[H264::FRAGMENT, 0x85, 0xb8][..], &[7; 60_000]].concat();
     let mut middle = payload.clone();
     middle[1] = 5;
     for sequence in 0..200 {

@@ -1,6 +1,6 @@
-use super::super::Unit;
-use super::super::h264::Assembler;
-use super::super::rtp::Packet;
+use super::super::super::Unit;
+use super::super::super::h264::Assembler;
+use super::super::super::rtp::Packet;
 use super::*;
 use sha2::{Digest, Sha256};
 
@@ -60,11 +60,11 @@ fn every_profile_decodes_to_what_ffmpeg_gives() {
             pictures.iter().map(|(key, _)| *key).collect::<Vec<_>>(),
             [true, false, true, false]
         );
-        let mut video = Video::default();
+        let mut decoder = Decoder::default();
         for ((key, bytes), expected) in pictures.iter().zip(expected) {
-            let frame = video.decode_units(bytes, None).expect(name);
+            let frame = decoder.decode_units(bytes, None).expect(name);
             assert_eq!(digest(&frame), expected, "{name}, one after the other");
-            let alone = Video::default().decode_units(bytes, None);
+            let alone = Decoder::default().decode_units(bytes, None);
             assert_eq!(alone.is_ok_and(|frame| digest(&frame) == expected), *key, "{name}, alone");
         }
     }
@@ -92,7 +92,7 @@ fn a_damaged_picture_is_never_given() {
                 1 => drop(bytes.drain(at..at + rng.usize(1..60))),
                 _ => bytes[at] ^= 1 << rng.u8(..8),
             }
-            let decoded = Video::default().decode_units(&bytes, None);
+            let decoded = Decoder::default().decode_units(&bytes, None);
             let is_wrong = decoded.is_ok_and(|frame| digest(&frame) != expected[0]);
             cut += usize::from(is_wrong && trial % 3 == 0);
             silent += usize::from(is_wrong && trial % 3 == 1);
@@ -112,15 +112,15 @@ fn sizes_are_compared_before_anything_is_decoded() {
     let (_, whole) = &pictures("high")[0];
     let mut picture = Picture::default();
     let shape = Some(Shape { width: 160, height: 90 });
-    let error = Video::default().decode(whole, shape, &mut picture).expect_err("another shape");
+    let error = Decoder::default().decode(whole, shape, &mut picture).expect_err("another shape");
     assert!(matches!(error, DecodeError::Shape { width: 160, height: 120, .. }), "{error}");
-    Video::default()
+    Decoder::default()
         .decode(whole, Some(Shape { width: 320, height: 240 }), &mut picture)
         .expect("its shape");
     assert_eq!((picture.width, picture.height), (160, 120));
     // 16384x16384 in a sequence set of baseline: refused by its header.
     let huge = [0, 0, 0, 1, 0x67, 66, 0, 51, 0xf8, 0x20, 0x00, 0x40, 0x00, 0x20, 0x00, 0x88];
-    assert!(Video::default().decode(&huge, None, &mut picture).is_err());
+    assert!(Decoder::default().decode(&huge, None, &mut picture).is_err());
 }
 
 #[test]
@@ -134,10 +134,11 @@ fn pictures_that_others_build_on_count_as_memory() {
         reference_frames,
         ..info_of("high")
     };
-    let allowed = |mut video: Video, references| video.check(&unit(references), None).is_ok();
-    assert!(allowed(Video::every(), 2) && allowed(Video::default(), 16));
+    let allowed =
+        |decoder: Decoder, references| decoder.sequence(&unit(references)).check(None).is_ok();
+    assert!(allowed(Decoder::new(true), 2) && allowed(Decoder::default(), 16));
     // 16 pictures of 12 MB: a stream of a few kilobytes would fill the box.
-    assert!(!allowed(Video::every(), 16));
+    assert!(!allowed(Decoder::new(true), 16));
 }
 
 /// A stream's own sequence set.
@@ -152,7 +153,7 @@ fn info_of(name: &str) -> SpsInfo {
 fn colours_are_those_of_the_stream() {
     let mean = |name: &str| {
         let mut picture = Picture::default();
-        Video::default().decode(&pictures(name)[0].1, None, &mut picture).expect(name);
+        Decoder::default().decode(&pictures(name)[0].1, None, &mut picture).expect(name);
         picture.rgb.iter().map(|&level| f64::from(level)).sum::<f64>() / picture.rgb.len() as f64
     };
     // The same scene, in both ranges.

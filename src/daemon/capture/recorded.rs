@@ -6,11 +6,7 @@
 
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
-use crate::daemon::clock;
-use crate::daemon::dates::Dates;
-use crate::daemon::disk;
-use crate::daemon::foreign::shown;
-use crate::daemon::frame::Frame;
+use crate::daemon::{clock, dates::Dates, disk, foreign::shown, frame::Frame};
 use crate::units::UtcMs;
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -66,12 +62,10 @@ pub enum RecordingError {
 }
 
 fn unlisted(source: &std::io::Error) -> String {
-    match source.kind() {
-        ErrorKind::NotADirectory => {
-            "it is a file: name the folder that holds the frames".to_owned()
-        }
-        _ => disk::unread(source).to_string(),
+    if source.kind() == ErrorKind::NotADirectory {
+        return "it is a file: name the folder that holds the frames".to_owned();
     }
+    disk::unread(source).to_string()
 }
 
 /// Source of the frames' times.

@@ -158,7 +158,7 @@ pub(crate) mod tests {
             ("k109f", "../etc", "make a name"),
             ("k109f", "", "make a name"),
             ("k109f", ".hidden", "make a name"),
-            ("\"seq\":7", "\"seq\":-7", "seq: invalid value"),
+            ("\"seq\":7", "\"seq\":-7", "seq: must be a whole number"),
             ("{\"schema", "{{", "a name stands without quotes"),
         ] {
             let error = read(right.replacen(from, to, 1).as_bytes()).unwrap_err();
@@ -203,7 +203,7 @@ pub(crate) mod tests {
             (alarm("../a", "camera_moved", true, time), "make a name"),
             (alarm("a", "camera_moved", true, "1969-12-31T00:00:00Z"), "time: 1969-12-31"),
             (health("a", time, true).replace("41.5", "4e9"), "board.enclosure_c: 4000000000"),
-            (health("a", time, true).replace(":75", ":-1"), "uptime_s: invalid value"),
+            (health("a", time, true).replace(":75", ":-1"), "uptime_s: must be a whole number"),
             (health("a", time, true).replace("\"delivered\":4,", ""), "delivered is missing"),
             (health("a", time, true).replace("\"schema\":1", "\"schema\":2"), "schema version 2"),
             ("{}".into(), "not a density message"),

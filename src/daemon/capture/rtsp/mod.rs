@@ -2,7 +2,7 @@
 //!
 //! Owns the stream's thread, which reads all and keeps the latest picture that can be measured,
 //! and what is known of the stream: losses, refused pictures, key interval. [`session`] is the
-//! protocol, [`sdp`] the description, [`rtp`], [`assembler`] with [`h264`] and [`h265`], and [`jpeg`]
+//! protocol, [`sdp`] the description, [`rtp`], [`assembler`] with [`h264`] and `h265`, and [`jpeg`]
 //! make whole pictures of packets, [`video`] decodes.
 //!
 //! Where density alone is asked for, key pictures, which decode without others, are enough:

@@ -1,7 +1,7 @@
 //! From a whole picture of a video to pixels, with limits.
 //!
 //! Owns what a picture must satisfy to be measured: its size is known and allowed before it is
-//! decoded, and no part of it is missing or wrong. [`h264`] and [`h265`] are the doors of the
+//! decoded, and no part of it is missing or wrong. `h264` and `h265` are the doors of the
 //! crates that decode.
 
 mod h264;

@@ -238,7 +238,7 @@ mod tests {
             ("0101", "01", "calibration.sha256: \"0101"),
             ("\"rel_err\":0.02", "\"rel_err\":-1", "calibration.rel_err: -1"),
             ("{", "[", "not a density message"),
-            ("{\"schema", "{{", "not a density message: a name stands without quotes"),
+            ("{\"schema", "{{", "not a density message: a name needs quotes"),
         ] {
             let error = changed(from, to).expect_err(to).to_string();
             assert!(error.contains(expected), "{to}: {error}");

@@ -36,24 +36,26 @@ pub(crate) fn plain(found: &str) -> String {
     }
     let words = match found {
         _ if found.starts_with("EOF while parsing") => "its end is missing",
-        "trailing characters" => "something stands behind its end",
-        "trailing comma" => "a comma stands behind the last value",
-        "expected value" => "a value is none: numbers, true, false, null, and text in quotes are",
-        "key must be a string" => "a name stands without quotes",
+        "trailing characters" => "there is more text after its end",
+        "trailing comma" => "there is a comma after the last value",
+        "expected value" => {
+            "this is not a value: write a number, true, false, null, or text in quotes"
+        }
+        "key must be a string" => "a name needs quotes",
         "expected `:`" => "the : behind a name is missing",
         "expected `,` or `}`" | "expected `,` or `]`" => {
             "a comma or the closing bracket is missing"
         }
         "number out of range" => "the number is too large",
-        "invalid number" => "a number is none",
+        "invalid number" => "this is not a number",
         "recursion limit exceeded" => "it is nested too deeply",
         _ if found.contains("control character") => {
-            "a text holds a line end or a control character"
+            "a text contains a line break or a control character"
         }
         "invalid escape"
         | "invalid unicode code point"
         | "lone leading surrogate in hex escape"
-        | "unexpected end of hex escape" => "a text holds a \\ with something unknown behind it",
+        | "unexpected end of hex escape" => "a text contains a \\ with something unknown after it",
         _ => return format!("{found}{at}"),
     };
     format!("{words}{at}")
@@ -120,12 +122,9 @@ mod tests {
             ("EOF while parsing an object at line 1 column 3", "its end is missing (character 3)"),
             (
                 "trailing characters at line 1 column 3",
-                "something stands behind its end (character 3)",
+                "there is more text after its end (character 3)",
             ),
-            (
-                "key must be a string at line 1 column 2",
-                "a name stands without quotes (character 2)",
-            ),
+            ("key must be a string at line 1 column 2", "a name needs quotes (character 2)"),
         ] {
             assert_eq!(plain(found), words);
         }

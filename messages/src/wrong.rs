@@ -1,4 +1,4 @@
-//! Faults of a message that no right one has.
+//! Faults that make a message invalid.
 
 /// A field with a value that cannot be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

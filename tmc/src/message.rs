@@ -159,7 +159,7 @@ pub(crate) mod tests {
             ("k109f", "", "make a name"),
             ("k109f", ".hidden", "make a name"),
             ("\"seq\":7", "\"seq\":-7", "seq: must be a whole number"),
-            ("{\"schema", "{{", "a name stands without quotes"),
+            ("{\"schema", "{{", "a name needs quotes"),
         ] {
             let error = read(right.replacen(from, to, 1).as_bytes()).unwrap_err();
             assert!(error.contains(said), "{to}: {error}");

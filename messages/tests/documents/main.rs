@@ -170,7 +170,7 @@ fn what_the_schema_refuses_the_check_refuses() {
             let field = at.rsplit('/').find(|part| part.parse::<usize>().is_err());
             // The parser itself refuses a third bound or (with serde_json's float_roundtrip) a
             // number that does not fit an f32, and gives its position.
-            let by_parser = ["something stands behind its end (", "the number is too large ("];
+            let by_parser = ["there is more text after its end (", "the number is too large ("];
             let known = error.contains(field.unwrap_or_default())
                 || by_parser.iter().any(|reason| error.contains(reason));
             assert!(known, "{wrong} at {at}: {error}");

@@ -54,7 +54,7 @@ fn is_key(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_alphanumeric() || matches!(byte, b'_' | b'-' | b'.'))
 }
 
-/// A value that is none.
+/// Says what is wrong with a value that TOML cannot read.
 fn of_value(value: &str, message: &str) -> &'static str {
     let word: String = value.chars().take_while(|c| !c.is_whitespace() && *c != '#').collect();
     let number = word.trim_start_matches(['-', '+']);
@@ -77,7 +77,7 @@ fn of_value(value: &str, message: &str) -> &'static str {
     } else if number.len() > 1 && number.starts_with('0') && is_digits(number) {
         "a number has no 0 in front"
     } else if number.starts_with(|c: char| c.is_ascii_digit()) && !value.contains(['"', '\'']) {
-        "a number stands alone, without a unit; text stands in quotes"
+        "write a number without a unit, and text in quotes"
     } else if matches!(&*word.to_lowercase(), "true" | "false" | "yes" | "no" | "on" | "off") {
         "write true or false, in small letters"
     } else if begins(&['[']) {
@@ -89,6 +89,6 @@ fn of_value(value: &str, message: &str) -> &'static str {
     } else if begins(&['"', '\'']) {
         "nothing stands behind the text's closing quote"
     } else {
-        "text stands in quotes"
+        "text needs quotes"
     }
 }

@@ -209,17 +209,9 @@ const TABLE: [(&str, &str, &str); 76] = [
         "line 3: site.lattitude is not known: do you mean site.latitude?",
     ),
     // No TOML.
-    ("= 2\n", "= soon\n", "line 5: interval_s: text stands in quotes"),
-    (
-        "= 2\n",
-        "= 2 s\n",
-        "line 5: interval_s: a number stands alone, without a unit; text stands in quotes",
-    ),
-    (
-        "= 2\n",
-        "= 75%\n",
-        "line 5: interval_s: a number stands alone, without a unit; text stands in quotes",
-    ),
+    ("= 2\n", "= soon\n", "line 5: interval_s: text needs quotes"),
+    ("= 2\n", "= 2 s\n", "line 5: interval_s: write a number without a unit, and text in quotes"),
+    ("= 2\n", "= 75%\n", "line 5: interval_s: write a number without a unit, and text in quotes"),
     ("= 2\n", "= 2,5\n", "line 5: interval_s: a number has a point, no comma"),
     ("= 2\n", "= 02\n", "line 5: interval_s: a number has no 0 in front"),
     ("= 2\n", "= .5\n", "line 5: interval_s: a number has digits on both sides of its point: 0.5"),

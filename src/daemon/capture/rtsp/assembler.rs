@@ -33,7 +33,7 @@ pub trait Syntax {
     fn class(kind: u8) -> Class;
     /// The header of the unit of this type that a fragment with this header is a part of.
     fn whole_header(header: &[u8], kind: u8) -> impl AsRef<[u8]>;
-    /// Reads a slice's beginning. `None`: it is none.
+    /// Reads a slice's beginning. `None`: it is not a slice.
     fn slice(kind: u8, rest: &[u8]) -> Option<SliceHead>;
     /// The number of a parameter set.
     fn set_number(unit: &[u8]) -> Option<u32>;
@@ -74,7 +74,7 @@ pub struct Assembler<S> {
     fragment: Option<usize>,
     /// The marker bit comes with other packets than a picture's last.
     marker_lies: bool,
-    /// Packets missing so far, and pictures that were not given on.
+    /// Packets missing so far, and pictures that were dropped.
     pub lost: u64,
     /// See [`Self::lost`].
     pub refused: u64,
@@ -191,7 +191,7 @@ impl<S: Syntax> Assembler<S> {
         self.fragment = None;
     }
 
-    /// Hands the picture over, where it is whole and decodes without others.
+    /// Hands the picture over where it is whole.
     fn finish(&mut self, unit: &mut Unit) -> bool {
         let State { slices, key, broken, .. } = self.state;
         if self.timestamp.is_none() || slices == 0 {
@@ -366,7 +366,7 @@ pub struct Golomb<'a> {
 }
 
 impl<'a> Golomb<'a> {
-    /// Of the bits of these bytes.
+    /// Reads the bits of these bytes.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, bit: 0 }
     }

@@ -1,7 +1,7 @@
 //! The errors of a calibration: what was wrong, where, and what to do about it.
 //!
 //! Owns the error enum and its mapping to exit codes. Does not own messages of
-//! success, warnings or the trust verdict (see `calibration`).
+//! success, warnings or the trust verdict (see `trust`).
 
 use crate::trust::Reason;
 use std::path::PathBuf;

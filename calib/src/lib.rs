@@ -6,13 +6,16 @@
 //!
 //! ```text
 //! files      labels, calibrations, shifts          in and out
-//! paper      candidates -> model matching -> fine tuning
 //! baselines  EPnP, UPnP, GPnP on single vehicles
-//! joint      one camera, one road, all vehicles at once
+//! paper      candidates -> model matching -> fine tuning
 //! road       marks, lanes, the lane table
+//! joint      one camera, one road, all vehicles at once
+//! methods    each of them by its name, and its verdict
 //! report     pictures of all of it
 //! desk       the page on which all of it is done by hand
 //! ```
+//!
+//! A chapter uses those above it and never one below.
 //!
 //! The crate owns everything offline, between labels and the lane table file. It does not
 //! own the table's format (the core crate's `lane` module does) nor anything that runs
@@ -25,6 +28,7 @@ pub mod desk;
 pub mod error;
 pub mod files;
 pub mod joint;
+pub mod length_error;
 pub mod methods;
 pub mod model;
 pub mod paper;

@@ -1,10 +1,10 @@
 //! The verdict on a calibration: whether lengths measured with it may be used.
 //!
-//! Owns the verdict, its reasons, the rules and their limits. Does not own what happens to
-//! a calibration that fails them (`table` refuses it unless forced).
+//! Owns the verdict, its reasons, their limits, and the rules that need no vehicle. Does not own
+//! the rules for labelled vehicles (see `methods::verdict`) nor what happens to a calibration that
+//! fails them (`table` refuses it unless forced).
 
 use crate::camera::Camera;
-use crate::problem::Problem;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
@@ -259,60 +259,11 @@ impl<'de> Deserialize<'de> for Trust {
     }
 }
 
-/// What the rules look at.
-#[derive(Clone, Copy, Debug)]
-pub struct Evidence<'a> {
-    /// Stated standard error of a length, as a part of it; `None`: the method states none.
-    pub rel_err: Option<f64>,
-    /// The same at the far end of what the camera resolves.
-    pub far_rel_err: Option<f64>,
-    /// The vehicle whose key points fit worst, and their root mean square misfit, px.
-    pub worst: Option<(&'a str, f64)>,
-    /// The bounds of the focal length in the search, px.
-    pub focal_bounds: Option<[f64; 2]>,
-}
-
-/// The verdict: the first reason against the calibration. A method that states its error is
-/// judged by that; only one that states none is judged by its number of vehicles.
-pub fn verdict(problem: &Problem, camera: &Camera, evidence: &Evidence<'_>) -> Trust {
-    Trust::of(
-        few_vehicles(problem, evidence)
-            .or_else(|| height(camera))
-            .or_else(|| focal_bound(camera, evidence))
-            .or_else(|| misfit(problem, evidence))
-            .or_else(|| uncertain(evidence.rel_err, || None))
-            .or_else(|| uncertain_far(evidence.far_rel_err?, further))
-            .or_else(|| above_horizon(problem, camera)),
-    )
-}
-
-/// What improves the far end where vehicles are labelled.
-fn further() -> Option<String> {
-    Some("vehicles further away, two traced lane lines or a known length".into())
-}
-
-fn few_vehicles(problem: &Problem, evidence: &Evidence<'_>) -> Option<Reason> {
-    let actual = problem.vehicles.len();
-    (evidence.rel_err.is_none() && actual < MIN_VEHICLES).then_some(Reason::FewVehicles { actual })
-}
-
 /// Whether a camera stands at no height over a road.
 pub fn height(camera: &Camera) -> Option<Reason> {
     let height_m = camera.height_m();
     let [low, high] = HEIGHT_RANGE_M;
     (!(low..=high).contains(&height_m)).then_some(Reason::Height { height_m })
-}
-
-fn focal_bound(camera: &Camera, evidence: &Evidence<'_>) -> Option<Reason> {
-    let f_px = camera.lens.f;
-    let at_bound = |&[low, high]: &[f64; 2]| f_px < low * 1.001 || f_px > high * 0.999;
-    evidence.focal_bounds.filter(at_bound).map(|_| Reason::FocalBound { f_px })
-}
-
-fn misfit(problem: &Problem, evidence: &Evidence<'_>) -> Option<Reason> {
-    let limit_px = MAX_MISFIT_WIDTH_FRACTION * problem.width_px();
-    let (vehicle, misfit_px) = evidence.worst.filter(|(_, m)| m.is_nan() || *m > limit_px)?;
-    Some(Reason::Misfit { vehicle: vehicle.to_owned(), misfit_px, limit_px })
 }
 
 /// Whether the stated error of a length is too large, or not a number; `add` says what would
@@ -336,16 +287,6 @@ pub fn uncertain_across(
 ) -> Option<Reason> {
     let bad = rel_err.is_nan() || rel_err > MAX_ACROSS_REL_ERR;
     bad.then(|| Reason::UncertainAcross { place, length_m, rel_err, add: add() })
-}
-
-/// The first key point that this camera sees at or above its horizon: no vehicle of the
-/// road can be there.
-fn above_horizon(problem: &Problem, camera: &Camera) -> Option<Reason> {
-    problem.vehicles.iter().find_map(|vehicle| {
-        let point = vehicle.points.iter().find(|p| camera.back_project(&p.uv, 0.0).is_none())?;
-        let vehicle = vehicle.name.clone();
-        Some(Reason::AboveHorizon { vehicle, label: point.label, uv: point.uv.into() })
-    })
 }
 
 #[cfg(test)]

@@ -8,9 +8,9 @@ mod k109f;
 
 use mvcalib::camera::Camera;
 use mvcalib::files::labelme::LabelFile;
-use mvcalib::files::road_cues;
+use mvcalib::length_error::UncertainCamera;
+use mvcalib::road::cue_files;
 use mvcalib::road::fit::{Cues, MarkCue, fit};
-use mvcalib::road::length_error::UncertainCamera;
 use mvcalib::road::marks::Marks;
 use nalgebra::Vector2;
 use std::path::Path;
@@ -114,7 +114,7 @@ fn a_lane_and_two_lengths_calibrate_k109f() {
     let all: Vec<Length> =
         marks.segments().map(|s| Length { ends: s.ends, metres: s.length_m }).collect();
     let lines = LabelFile::read(&k109f::data("k109f/lane_lines.json")).expect("shipped lines");
-    let lanes = road_cues::of_file(&lines).expect("a pair of lines");
+    let lanes = cue_files::of_file(&lines).expect("a pair of lines");
     // The nearest and the farthest but one of the first line; the farthest is hardly readable.
     let given = [4, 1];
     let cues = |lengths: bool, lines: bool| Cues {

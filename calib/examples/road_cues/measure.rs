@@ -6,10 +6,10 @@
 use mvcalib::camera::Camera;
 use mvcalib::files::calibration::Calibration;
 use mvcalib::files::labelme::LabelFile;
-use mvcalib::files::road_cues;
+use mvcalib::road::cue_files;
+use mvcalib::road::drawn_lane::{DrawnLane, lanes};
 use mvcalib::road::fit::{BoxCue, Class, Cues, LaneCue, MarkCue, fit};
 use mvcalib::road::lane_axis::LaneAxis;
-use mvcalib::road::lane_table::{DrawnLane, lanes};
 use nalgebra::{Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -39,11 +39,11 @@ struct Made {
 fn read(folder: &Path, exact: bool) -> Option<Made> {
     let truth = Calibration::read(&folder.join("calibration.json"), None).ok()?.camera();
     let file = LabelFile::read(&folder.join("lanes.json")).ok()?;
-    let drawn = road_cues::of_file(&file).expect("the street's lanes have two sides");
+    let drawn = cue_files::of_file(&file).expect("the street's lanes have two sides");
     let lanes = lanes(&file, "lanes.json", &truth).expect("the street's lanes are right");
     let detections = folder.join("detections.jsonl");
     let boxes = if detections.exists() && !exact {
-        road_cues::boxes(&detections).expect("a detector's boxes")
+        cue_files::boxes(&detections).expect("a detector's boxes")
     } else {
         true_boxes(&folder.join("truth.jsonl"))
     };

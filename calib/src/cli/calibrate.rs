@@ -7,15 +7,15 @@ use indicatif::{ProgressBar, ProgressStyle};
 use mvcalib::error::{Error, Result};
 use mvcalib::files::calibration::Calibration;
 use mvcalib::files::labelme::{LabelFile, read_vehicles};
+use mvcalib::files::picture::picture_size;
 use mvcalib::files::registration::FrameShifts;
-use mvcalib::files::road_cues;
 use mvcalib::joint::cues::RoadCues;
 use mvcalib::methods::{Method, Options, calibrate};
 use mvcalib::model::read_models;
 use mvcalib::paper::loss::Form;
 use mvcalib::paper::stages::Step;
 use mvcalib::problem::Problem;
-use mvcalib::report::canvas::picture_size;
+use mvcalib::road::cue_files;
 use mvcalib::road::fit::{Cues, fit};
 use mvcalib::road::marks::Marks;
 use mvcalib::trust::Trust;
@@ -177,9 +177,9 @@ impl Arguments {
 
     /// What the road shows.
     fn road(&self, size: [u32; 2]) -> Result<Cues> {
-        let lanes = self.lane_lines.as_ref().map(|path| road_cues::lanes(path, size));
+        let lanes = self.lane_lines.as_ref().map(|path| cue_files::lanes(path, size));
         let marks = self.lengths.as_ref().map(|path| Marks::read(path)).transpose()?;
-        let boxes = self.detections.as_ref().map(|path| road_cues::boxes(path));
+        let boxes = self.detections.as_ref().map(|path| cue_files::boxes(path));
         let mut cues = Cues {
             marks: marks.as_ref().map_or_else(Vec::new, Marks::cues),
             rectangles: marks.as_ref().map_or_else(Vec::new, Marks::rectangle_cues),

@@ -7,7 +7,7 @@ use mvcalib::files::registration::FrameShifts;
 use mvcalib::model::read_models;
 use mvcalib::report::canvas::Canvas;
 use mvcalib::report::{draw_lanes, draw_metres, draw_vehicles, html, place};
-use mvcalib::road::lane_table::lanes;
+use mvcalib::road::drawn_lane::lanes;
 use std::path::PathBuf;
 use verge_desk::write_whole;
 

@@ -2,8 +2,8 @@
 //!
 //! Owns the lines that `mvcalib calibrate` prints. Does not own what is measured (see `road::fit`).
 
+use mvcalib::length_error::LengthError;
 use mvcalib::road::fit::Fit;
-use mvcalib::road::length_error::LengthError;
 use std::fmt::Write;
 
 /// How each cue of a road fit fits.

@@ -7,8 +7,8 @@ use super::strips::{Strip, strips};
 use crate::bodies::Body;
 use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
-use crate::files::road_cues;
 use crate::model::KEY_POINT_COUNT;
+use crate::road::cue_files;
 use crate::road::fit::{Cues, LaneCue, RectangleCue};
 use crate::road::marks::Mark;
 use crate::road::outline;
@@ -212,7 +212,7 @@ impl Drawing {
 
     /// The lanes between neighbouring lines.
     pub fn strips(&self) -> Vec<Strip> {
-        strips(&self.lines, &self.apart)
+        strips(self.lines.iter().map(|l| (l.id, &l.points[..])), &self.apart)
     }
 
     /// What the road fit may use of it, without labelled vehicles and boxes.
@@ -245,7 +245,7 @@ impl Drawing {
 
     fn lane_cue(&self, lane: &Lane) -> Option<LaneCue> {
         let drawing = outline::read(&self.labelme([lane])).ok()?;
-        road_cues::of_outline(drawing.lanes.first()?, self.image_size).ok()
+        cue_files::of_outline(drawing.lanes.first()?, self.image_size).ok()
     }
 
     /// The vehicles that have key points.

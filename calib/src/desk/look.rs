@@ -13,12 +13,13 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::calibration::{Calibration, VehicleMatch};
 use crate::joint::{self, untold::untold};
+use crate::length_error::UncertainCamera;
 use crate::model::{VehicleModel, parse_models};
 use crate::problem::Problem;
+use crate::road::drawn_lane::{self, DrawnLane};
 use crate::road::fit::{self, BoxCue, Fit, PlaceErrors};
 use crate::road::judge::{Judged, MAX_SPAN_M, MIN_CAR_PX, judge_lanes};
-use crate::road::lane_table::{self, DrawnLane};
-use crate::road::length_error::UncertainCamera;
+use crate::road::lane_table::require_apart;
 use crate::road::outline;
 use crate::trust::{MAX_REL_ERR, Reason, Trust};
 use crate::validation::check_vehicle;
@@ -110,11 +111,11 @@ pub fn calibration(drawing: &Drawing, boxes: &[BoxCue]) -> Result<Calibration> {
 /// Names the first lane that cannot be used.
 pub fn lanes(drawing: &Drawing, calibration: &Calibration) -> Result<Vec<DrawnLane>> {
     let camera = calibration.camera();
-    let drawn = lane_table::lanes(&drawing.labelme(&drawing.lanes), "the drawing", &camera)?;
+    let drawn = drawn_lane::lanes(&drawing.labelme(&drawing.lanes), "the drawing", &camera)?;
     let known = calibration.known();
     let judged = judge_lanes(&drawn, &camera, known.as_ref(), DEFAULT_CELL_LENGTH_M);
     crate::road::judge::require(&judged)?;
-    lane_table::require_apart(&drawn, camera.image_size)?;
+    require_apart(&drawn, camera.image_size)?;
     Ok(drawn)
 }
 
@@ -240,7 +241,7 @@ fn proposed(strip: &Strip, known: &UncertainCamera) -> Option<Vec<Vector2<f64>>>
     let id = LaneId::new(1)?;
     (1..=PROPOSAL_STEPS).rev().map(|k| f64::from(k) / f64::from(PROPOSAL_STEPS)).find_map(|part| {
         let outline = strip.outline(part);
-        let lane = lane_table::on_road(
+        let lane = drawn_lane::on_road(
             outline::Outline {
                 label: "1".into(),
                 id,
@@ -281,7 +282,7 @@ fn lane_look(drawing: &Drawing, lane: &Lane, known: Option<&UncertainCamera>) ->
         let problem = Some("there is no camera yet: go back to the road".into());
         return LaneLook { problem, measured: None };
     };
-    let drawn = match lane_table::on_road(outline, &known.camera) {
+    let drawn = match drawn_lane::on_road(outline, &known.camera) {
         Ok(drawn) => drawn,
         Err(error) => return said(error),
     };
@@ -315,8 +316,8 @@ fn whole_problem(drawing: &Drawing, known: &UncertainCamera) -> Option<String> {
         return None;
     }
     let file = drawing.labelme(&drawing.lanes);
-    lane_table::lanes(&file, "the drawing", &known.camera)
-        .and_then(|lanes| lane_table::require_apart(&lanes, known.camera.image_size))
+    drawn_lane::lanes(&file, "the drawing", &known.camera)
+        .and_then(|lanes| require_apart(&lanes, known.camera.image_size))
         .err()
         .map(|e| e.to_string())
 }

@@ -3,7 +3,6 @@
 //! Owns which drawn lines are neighbours in the picture, and the outline between two of them.
 //! Does not own whether that outline can be a lane (see `road::judge`).
 
-use super::drawing::Line;
 use crate::road::fit::LaneCue;
 use nalgebra::Vector2;
 use verge::units::Direction;
@@ -49,12 +48,16 @@ impl Strip {
     }
 }
 
-/// The lanes between neighbours of the lines, from left to right; pairs in `apart` have none.
-pub fn strips(lines: &[Line], apart: &[[u32; 2]]) -> Vec<Strip> {
+/// The lanes between neighbours of the lines, each by its id and its points (px), from left to
+/// right; pairs in `apart` have none.
+pub fn strips<'a>(
+    lines: impl IntoIterator<Item = (u32, &'a [[f64; 2]])>,
+    apart: &[[u32; 2]],
+) -> Vec<Strip> {
     let lines: Vec<(u32, Vec<Vector2<f64>>)> = lines
-        .iter()
-        .filter(|l| l.points.len() >= 2)
-        .map(|l| (l.id, near_to_far(l.points.iter().map(|&p| p.into()).collect())))
+        .into_iter()
+        .filter(|(_, points)| points.len() >= 2)
+        .map(|(id, points)| (id, near_to_far(points.iter().map(|&p| p.into()).collect())))
         .collect();
     let mut found = Vec::new();
     for (i, (a, left)) in lines.iter().enumerate() {
@@ -117,14 +120,20 @@ fn cut(line: &[Vector2<f64>], far: f64, near: f64) -> Vec<Vector2<f64>> {
 mod tests {
     use super::*;
 
+    type Line = (u32, Vec<[f64; 2]>);
+
     fn line(id: u32, near: f64, far: f64) -> Line {
-        Line { id, points: vec![[near, 200.0], [0.5 * (near + far), 150.0], [far, 100.0]] }
+        (id, vec![[near, 200.0], [0.5 * (near + far), 150.0], [far, 100.0]])
+    }
+
+    fn strips(lines: &[Line], apart: &[[u32; 2]]) -> Vec<Strip> {
+        super::strips(lines.iter().map(|(id, points)| (*id, &points[..])), apart)
     }
 
     #[test]
     fn neighbours_make_lanes_whichever_way_they_were_drawn() {
         let mut lines = [line(7, 300.0, 170.0), line(2, 20.0, 140.0), line(4, 160.0, 155.0)];
-        lines[1].points.reverse();
+        lines[1].1.reverse();
         let found = strips(&lines, &[]);
         let ids: Vec<_> = found.iter().map(|s| s.lines).collect();
         assert_eq!(ids, [[2, 4], [4, 7]]);
@@ -137,8 +146,8 @@ mod tests {
 
     #[test]
     fn lines_one_behind_the_other_are_no_lane() {
-        let near = Line { id: 1, points: vec![[50.0, 200.0], [60.0, 150.0]] };
-        let far = Line { id: 2, points: vec![[100.0, 149.0], [100.0, 110.0]] };
+        let near = (1, vec![[50.0, 200.0], [60.0, 150.0]]);
+        let far = (2, vec![[100.0, 149.0], [100.0, 110.0]]);
         assert!(strips(&[near, far], &[]).is_empty());
     }
 }

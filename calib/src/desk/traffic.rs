@@ -10,7 +10,7 @@ use super::program::{Detector, Progress, Task};
 use super::site::Site;
 use crate::error::{Error, Result};
 use crate::files::calibration::Sha256;
-use crate::files::road_cues;
+use crate::road::cue_files;
 use crate::road::fit::{BoxCue, Class};
 use crate::road::lane_table::table;
 use serde::{Deserialize, Serialize};
@@ -89,7 +89,7 @@ impl Traffic {
     pub fn cue(&self) -> Vec<BoxCue> {
         let Some(frames) = self.found() else { return Vec::new() };
         let of = |(frame, all): (usize, &FrameBoxes)| -> Vec<BoxCue> {
-            let strong = all.boxes.iter().filter(|b| b.4 >= road_cues::MIN_SCORE);
+            let strong = all.boxes.iter().filter(|b| b.4 >= cue_files::MIN_SCORE);
             strong
                 .map(|b| BoxCue {
                     frame,
@@ -250,7 +250,7 @@ pub fn count(
         counted.push(CountedFrame { frame: name_of(Path::new(&frame.frame)), boxes });
     }
     let n = (frames.len() as f64).max(1.0);
-    let mean = |lane: &crate::road::lane_table::DrawnLane| LaneMean {
+    let mean = |lane: &crate::road::drawn_lane::DrawnLane| LaneMean {
         lane: lane.id.get(),
         length_m: lane.axis.length_m(),
         vehicles: totals[usize::from(lane.id.get())] / n,

@@ -29,7 +29,7 @@
 use super::stated::{StatedErrors, Uncertainty};
 use crate::camera::{Camera, Lens, Pose};
 use crate::error::{Error, Result};
-use crate::road::length_error::{CameraCovariance, UncertainCamera};
+use crate::length_error::{CameraCovariance, UncertainCamera};
 use crate::trust::Trust;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,9 @@
 //! What a calibration file states of its own error.
 //!
 //! Owns the fields `uncertainty` and `errors`. Does not own the file (see `calibration`) nor how
-//! errors follow from a covariance (see `road::length_error`).
+//! errors follow from a covariance (see `length_error`).
 
-use crate::road::length_error::UncertainCamera;
+use crate::length_error::UncertainCamera;
 use serde::{Deserialize, Serialize};
 
 /// Uncertainty of a camera, from the curvature of its posterior.

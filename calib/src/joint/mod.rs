@@ -21,8 +21,9 @@ pub mod untold;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::files::stated::Uncertainty;
+use crate::length_error::{self, UncertainCamera};
 use crate::problem::Problem;
-use crate::road::{self, fit::Labelled, length_error::UncertainCamera};
+use crate::road::fit::Labelled;
 use cues::RoadCues;
 use fit::Fit;
 pub use fit::{FLEETS, Fleet};
@@ -97,7 +98,7 @@ impl Joint {
 
     /// The camera with the covariance of its unknowns; joint takes the road to be level.
     pub fn known(&self) -> UncertainCamera {
-        let mut covariance = road::length_error::CameraCovariance::zeros();
+        let mut covariance = length_error::CameraCovariance::zeros();
         let own = self.covariance.0.fixed_view::<5, 5>(0, 0);
         covariance.fixed_view_mut::<5, 5>(0, 0).copy_from(&own);
         UncertainCamera { camera: self.camera(), covariance }
@@ -111,7 +112,8 @@ impl Joint {
     /// What it says of the camera, for the road fit.
     pub fn labelled(&self) -> Labelled {
         let state = &self.estimate.camera;
-        Labelled::of_joint(state, self.image_size, &self.known().covariance)
+        let mean = [state.log_f, state.tilt, state.roll, state.log_height, state.k1];
+        Labelled::on_level_road(mean, self.image_size, &self.known().covariance)
     }
 
     /// Standard error of a length on the road, as a part of it, where the vehicles stand.

@@ -9,7 +9,7 @@ pub mod canvas;
 use crate::camera::Camera;
 use crate::files::calibration::{Calibration, StageLoss};
 use crate::model::VehicleModel;
-use crate::road::lane_table::DrawnLane;
+use crate::road::drawn_lane::DrawnLane;
 use crate::vehicle::{Pair, Vehicle};
 use canvas::{Canvas, Colour};
 use nalgebra::{Rotation2, Vector2, Vector3};

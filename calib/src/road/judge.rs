@@ -3,11 +3,12 @@
 //! Owns the numbers of each lane (width, length, resolution, size of a car, stated error) and
 //! their limits. Does not own outlines (see `outline`) nor the table (see `lane_table`).
 
+use super::drawn_lane::DrawnLane;
 use super::lane_axis::PROBES;
-use super::lane_table::DrawnLane;
-use super::length_error::UncertainCamera;
+
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::length_error::UncertainCamera;
 use crate::trust::MAX_REL_ERR;
 use nalgebra::{Vector2, Vector3};
 use std::fmt;

@@ -1,74 +1,26 @@
 //! The lane table of a calibrated camera: for every pixel its lane and place along it.
 //!
 //! Owns filling the cells and the stated errors. Does not own the file's format (the core
-//! crate's `lane` module), outlines (see `outline`) nor centre lines (see `lane_axis`).
+//! crate's `lane` module), lanes on the road (see `drawn_lane`) nor centre lines (see `lane_axis`).
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::calibration::{Calibration, Sha256};
-use crate::files::labelme::LabelFile;
+use crate::road::drawn_lane::DrawnLane;
 use crate::road::judge::judge_lanes;
 use crate::road::lane_axis::LaneAxis;
-use crate::road::outline::{self, Outline};
+use crate::road::outline::contains;
 use nalgebra::Vector2;
 use rayon::prelude::*;
-use verge::lane::{Description, Lane, LaneErrors, LaneTableError, MAX_LANE_LENGTH_M, Name, Place};
+use verge::lane::{Description, Lane, LaneErrors, LaneTableError, Name, Place};
 use verge::scene::Reference;
-use verge::units::{Direction, ImageSize, LaneId};
+use verge::units::ImageSize;
 
 /// Part of a lane's cells that another lane may claim too: hand-drawn borders cross by a
 /// pixel here and there.
 const OVERLAP_FRACTION: f64 = 0.02;
 /// Cells that two lanes may share whatever their size.
 const OVERLAP_CELLS: usize = 8;
-
-/// A lane as drawn and as it lies on the road.
-#[derive(Clone, Debug)]
-pub struct DrawnLane {
-    /// Its number.
-    pub id: LaneId,
-    /// Which way its traffic moves.
-    pub direction: Direction,
-    /// Whether its file marks it as wider at one end.
-    pub widens: bool,
-    /// Its outline, px.
-    pub polygon: Vec<Vector2<f64>>,
-    /// Its centre line on the road.
-    pub axis: LaneAxis,
-}
-
-/// The lanes of a labelme file on the road of a camera, by rising number, see
-/// [`outline::read`].
-pub fn lanes(file: &LabelFile, what: &str, camera: &Camera) -> Result<Vec<DrawnLane>> {
-    if file.image_size() != camera.image_size {
-        return Err(Error::ImageSize {
-            what: what.to_owned(),
-            actual: file.image_size(),
-            expected: camera.image_size,
-        });
-    }
-    let drawing = outline::read(file)?;
-    if drawing.lanes.is_empty() {
-        let problem = format!("{what} holds no lane; draw a polygon for each");
-        return Err(Error::Lane { lane: "(none)".into(), problem });
-    }
-    drawing.lanes.into_iter().map(|outline| on_road(outline, camera)).collect()
-}
-
-/// An outline on the road of a camera.
-pub fn on_road(outline: Outline, camera: &Camera) -> Result<DrawnLane> {
-    let Outline { label, id, direction, widens, polygon } = outline;
-    let axis = LaneAxis::of_polygon(&label, &polygon, direction, camera)?;
-    let length = axis.length_m();
-    if length > f64::from(MAX_LANE_LENGTH_M) {
-        let problem = format!(
-            "it would be {length:.0} m long, a table holds {MAX_LANE_LENGTH_M} m; \
-             end the polygon further below the horizon"
-        );
-        return Err(Error::Lane { lane: label, problem });
-    }
-    Ok(DrawnLane { id, direction, widens, polygon, axis })
-}
 
 /// The bytes of a lane table.
 ///
@@ -216,24 +168,11 @@ fn check_overlaps(lanes: &[DrawnLane], own: &[usize], overlaps: &[(usize, usize)
     Ok(())
 }
 
-/// Whether a point lies inside a polygon (even-odd rule).
-pub(crate) fn contains(polygon: &[Vector2<f64>], p: Vector2<f64>) -> bool {
-    let mut inside = false;
-    let mut previous = polygon[polygon.len() - 1];
-    for &corner in polygon {
-        let crosses = (corner.y > p.y) != (previous.y > p.y);
-        if crosses {
-            let t = (p.y - corner.y) / (previous.y - corner.y);
-            inside ^= p.x < corner.x + t * (previous.x - corner.x);
-        }
-        previous = corner;
-    }
-    inside
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::files::labelme::LabelFile;
+    use crate::road::drawn_lane::lanes;
     use crate::road::lane_axis::tests::{camera, picture};
     use verge::lane::LaneTable;
     use verge::units::ImagePoint;

@@ -3,12 +3,13 @@
 //! Owns everything that is measured on the road plane. Does not own the vehicles' key
 //! points (`paper`, `joint`) nor the files' formats (`files`, and the core's `lane`).
 
+pub mod cue_files;
 pub mod dashes;
+pub mod drawn_lane;
 pub mod fit;
 pub mod judge;
 pub mod lane_axis;
 pub mod lane_table;
-pub mod length_error;
 pub mod marks;
 pub mod outline;
 pub mod scene_reference;

@@ -198,6 +198,21 @@ fn crossing(polygon: &[Vector2<f64>]) -> Option<(usize, usize)> {
     None
 }
 
+/// Whether a point lies inside a polygon (even-odd rule).
+pub(crate) fn contains(polygon: &[Vector2<f64>], p: Vector2<f64>) -> bool {
+    let mut inside = false;
+    let mut previous = polygon[polygon.len() - 1];
+    for &corner in polygon {
+        let crosses = (corner.y > p.y) != (previous.y > p.y);
+        if crosses {
+            let t = (p.y - corner.y) / (previous.y - corner.y);
+            inside ^= p.x < corner.x + t * (previous.x - corner.x);
+        }
+        previous = corner;
+    }
+    inside
+}
+
 /// The part of a polygon inside the picture (Sutherland and Hodgman 1974).
 fn inside(polygon: &[Vector2<f64>], size: [f64; 2]) -> Vec<Vector2<f64>> {
     let mut polygon = polygon.to_vec();

@@ -5,8 +5,8 @@
 //! reference's bytes nor the search (the core crate's `scene` module does).
 
 use crate::error::{Error, Result};
-use crate::report::canvas::upright;
-use crate::road::lane_table::contains;
+use crate::files::picture::upright;
+use crate::road::outline::contains;
 use nalgebra::Vector2;
 use std::path::{Path, PathBuf};
 use verge::scene::{Cell, Eye, Field, Grid, Pose, Reference, search};

@@ -4,7 +4,8 @@
 
 use mvcalib::files::calibration::{Calibration, Sha256};
 use mvcalib::files::labelme::LabelFile;
-use mvcalib::road::lane_table::{lanes, table};
+use mvcalib::road::drawn_lane::lanes;
+use mvcalib::road::lane_table::table;
 use mvcalib::road::scene_reference::{pictures, reference};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -6,7 +6,7 @@
 use super::STRETCH_M;
 use super::cues::{Cues, LANE_WIDTH_M, READING_PX, STATED_WIDTH_SD_M};
 use super::errors::RoadErrors;
-use crate::road::length_error::{CameraCovariance, UncertainCamera};
+use crate::length_error::{CameraCovariance, UncertainCamera};
 use nalgebra::{Vector2, Vector3, Vector6};
 
 /// A length that somebody could add.

@@ -4,7 +4,6 @@
 //! residuals (see `marks`, `lanes`, `traffic`).
 
 use super::view::{CAMERA, CREST, DISTORTION, Unknowns};
-use crate::joint::scene::CameraState;
 use nalgebra::{SMatrix, Vector2};
 use verge::units::Direction;
 
@@ -154,24 +153,19 @@ pub struct Labelled {
 }
 
 impl Labelled {
-    /// From the joint method's camera and its covariance in the lens' terms. It takes the road
-    /// to be level and the lens to be straight unless told otherwise; the road fit's own
-    /// priors stay for these two.
-    pub fn of_joint(
-        state: &CameraState,
+    /// A camera over a road that is taken to be level, with the covariance of its unknowns: log f,
+    /// tilt (rad), roll (rad), log height (m) and `k1` (see [`Lens::k1`]). The road fit's own priors
+    /// stay for the crest and for the distortion, which labelled vehicles hardly show.
+    ///
+    /// [`Lens::k1`]: crate::camera::Lens::k1
+    pub fn on_level_road(
+        [log_f, tilt, roll, log_height, k1]: [f64; 5],
         image_size: [u32; 2],
         covariance: &SMatrix<f64, CAMERA, CAMERA>,
     ) -> Self {
-        let half_widths = 0.5 * f64::from(image_size[0]) / state.log_f.exp();
-        let distortion = state.k1 * half_widths * half_widths;
-        let mean = Unknowns::from([
-            state.log_f,
-            state.tilt,
-            state.roll,
-            state.log_height,
-            distortion,
-            0.0,
-        ]);
+        let half_widths = 0.5 * f64::from(image_size[0]) / log_f.exp();
+        let distortion = k1 * half_widths * half_widths;
+        let mean = Unknowns::from([log_f, tilt, roll, log_height, distortion, 0.0]);
         let mut own = *covariance;
         for k in [DISTORTION, CREST] {
             own.row_mut(k).fill(0.0);

@@ -1,7 +1,7 @@
 //! The error of lengths that a fit states: along the road and across it, near, in the middle and far.
 //!
 //! Owns where errors are stated, and the judgement of those across the road. Does not own how a
-//! covariance becomes the error of a length (see `road::length_error`) nor the limits (see `trust`).
+//! covariance becomes the error of a length (see `length_error`) nor the limits (see `trust`).
 
 use super::STRETCH_M;
 use super::cues::{Cues, LaneCue};
@@ -9,7 +9,7 @@ use super::lanes::{Middle, OnRoad};
 use super::problem::Problem;
 use super::view::View;
 use crate::files::stated::{StatedError, StatedErrors, StatedLane, StatedWidth};
-use crate::road::length_error::{LengthError, UncertainCamera};
+use crate::length_error::{LengthError, UncertainCamera};
 use nalgebra::{Vector2, Vector3};
 
 /// Error of lengths at one distance.

@@ -57,7 +57,7 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::calibration::Calibration;
 use crate::files::stated::Uncertainty;
-use crate::road::length_error::{CameraCovariance, UncertainCamera};
+use crate::length_error::{CameraCovariance, UncertainCamera};
 use crate::trust::{self, Reason, Trust};
 use doubt::Fitted;
 use nalgebra::Matrix6;

@@ -9,7 +9,7 @@ use super::cues::{BoxCue, LaneCue};
 use super::hull::{Footing, LOOKS, Look, Support, log_box, log_box_by, look};
 use super::lanes::Middle;
 use super::view::View;
-use crate::road::lane_table::contains;
+use crate::road::outline::contains;
 use nalgebra::{SVector, Vector2};
 use verge::units::Direction;
 

@@ -4,8 +4,8 @@
 //! lane file, whose sides are found; boxes are what `verge detect` and `verge replay` write.
 //! Does not own marks (see `road::marks`) nor the fit.
 
-use super::labelme::{LabelFile, Shape};
 use crate::error::{Error, Result};
+use crate::files::labelme::{LabelFile, Shape};
 use crate::road::fit::{BoxCue, Class, LaneCue};
 use crate::road::lane_axis;
 use crate::road::outline::{self, Outline};

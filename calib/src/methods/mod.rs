@@ -1,10 +1,12 @@
 //! Every method by its name, from a checked problem to a calibration.
 //!
-//! Owns the list of methods and how the single-vehicle ones pick their camera. Does not own
-//! any solver.
+//! Owns the list of methods, and what turns a solver's result into a calibration with a verdict.
+//! Does not own any solver.
+
+mod single_vehicle;
+mod verdict;
 
 use crate::baselines::gpnp;
-use crate::baselines::single_vehicle::{self, Solver};
 use crate::baselines::upnp;
 use crate::bodies::Body;
 use crate::camera::{Camera, Pose};
@@ -18,8 +20,10 @@ use crate::paper::model_matching::{Bounds, Matched};
 use crate::paper::stages::{self, Settings, Stages, Step};
 use crate::problem::{FocalPrior, Problem};
 use crate::road::fit::{self, Cues};
-use crate::trust::{Evidence, MIN_VEHICLES, Reason, Trust, verdict};
+use crate::trust::{MIN_VEHICLES, Reason, Trust};
+use single_vehicle::Solver;
 use std::time::Instant;
+use verdict::{Evidence, verdict};
 
 /// A calibration method by its name on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

@@ -35,7 +35,7 @@ pub trait Syntax {
     fn whole_header(header: &[u8], kind: u8) -> impl AsRef<[u8]>;
     /// Reads a slice's beginning. `None`: it is not a slice.
     fn slice(kind: u8, rest: &[u8]) -> Option<SliceHead>;
-    /// The number of a parameter set.
+    /// The number of a parameter set. `None`: it is not one.
     fn set_number(unit: &[u8]) -> Option<u32>;
 }
 
@@ -303,10 +303,12 @@ impl<S: Syntax> Assembler<S> {
         if unit.len() <= S::HEADER || unit.len() > MAX_SET {
             return;
         }
+        // What a slice cannot name is of no use.
+        let Some(number) = S::set_number(unit) else { return };
         let of = |unit: &[u8]| kind::<S>(unit[0]);
-        let (kind, number) = (of(unit), S::set_number(unit));
+        let kind = of(unit);
         let is_rival = |set: &Set| {
-            set.unit != unit && of(&set.unit) == kind && S::set_number(&set.unit) == number
+            set.unit != unit && of(&set.unit) == kind && S::set_number(&set.unit) == Some(number)
         };
         if let Some(known) = self.sets.iter_mut().find(|known| known.unit == unit) {
             // Again the old one: what came in between was damaged. Twice the new one: it counts.

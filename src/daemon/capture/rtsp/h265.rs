@@ -14,6 +14,13 @@ const VIDEO_SET: u8 = 32;
 const SEQUENCE_SET: u8 = 33;
 const PICTURE_SET: u8 = 34;
 
+/// Lengths of a profile and of a level, bytes, and most layers below the highest (7.3.3).
+const PROFILE: usize = 11;
+const LEVEL: usize = 1;
+const MOST_LAYERS: usize = 6;
+/// Longest way to a sequence set's number and through it, bytes: 31 zeros at most are read of it.
+const SEQUENCE_HEAD: usize = 1 + (PROFILE + LEVEL) * (1 + MOST_LAYERS) + 2 + 8;
+
 /// See [`Syntax`].
 #[derive(Debug)]
 pub struct H265;
@@ -47,15 +54,46 @@ impl Syntax for H265 {
         Some(SliceHead { first, alone: (FIRST_KEY..=LAST_KEY).contains(&kind) })
     }
 
-    /// The first number of a set, but of a sequence set, where it lies behind its profile and may be
-    /// anywhere: cameras have one sequence.
+    /// The number of a set, within its bounds (7.4.3): the first of it, in a sequence set the one
+    /// behind its profile.
     fn set_number(unit: &[u8]) -> Option<u32> {
-        match unit[0] >> 1 & 63 {
-            VIDEO_SET => Some(u32::from(unit.get(2)? >> 4)),
-            SEQUENCE_SET => Some(0),
-            _ => Golomb::new(unit.get(2..)?).number(),
-        }
+        let content = unit.get(Self::HEADER..)?;
+        let (number, most) = match unit.first()? >> Self::SHIFT & Self::MASK {
+            VIDEO_SET => (u32::from(content.first()? >> 4), 15),
+            SEQUENCE_SET => (sequence_number(content)?, 15),
+            _ => (Golomb::new(content).number()?, 63),
+        };
+        (number <= most).then_some(number)
     }
+}
+
+/// `sps_seq_parameter_set_id` (7.3.2.2.1), behind `profile_tier_level` (7.3.3), whose length the
+/// number of its layers decides.
+fn sequence_number(content: &[u8]) -> Option<u32> {
+    let head: Vec<u8> = without_escapes(content).take(SEQUENCE_HEAD).collect();
+    let layers = usize::from(head.first()? >> 1 & 7);
+    if layers > MOST_LAYERS {
+        return None;
+    }
+    let mut at = 1 + PROFILE + LEVEL;
+    if layers > 0 {
+        // For each layer two bits, in two bytes: whether it has a profile and a level of its own.
+        let present = u16::from_be_bytes([*head.get(at)?, *head.get(at + 1)?]);
+        let layer = |bit: usize, bytes| usize::from(present >> (15 - bit) & 1) * bytes;
+        at += 2;
+        at += (0..layers).map(|i| layer(2 * i, PROFILE) + layer(2 * i + 1, LEVEL)).sum::<usize>();
+    }
+    Golomb::new(head.get(at..)?).number()
+}
+
+/// The bytes of a unit without those that keep start codes out of it (7.3.1.1).
+fn without_escapes(content: &[u8]) -> impl Iterator<Item = u8> {
+    let mut zeros = 0;
+    content.iter().copied().filter(move |&byte| {
+        let is_escape = zeros >= 2 && byte == 3;
+        zeros = if byte == 0 { zeros + 1 } else { 0 };
+        !is_escape
+    })
 }
 
 #[cfg(test)]

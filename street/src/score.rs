@@ -1,7 +1,8 @@
 //! Score of a measured recording against its truth: flow, speed and occupancy of each lane.
 //!
-//! Owns the reading of `truth.jsonl` and of the windows that `verge replay --json` prints, and the
-//! table. The truth of a window is summed over its frames (see `truth.rs`).
+//! Owns the reading of `truth.jsonl` and of the windows that `verge replay --json` prints, the
+//! table, and how many intervals hold the truth. The truth of a window is summed over its frames
+//! (see `truth.rs`).
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -43,9 +44,13 @@ struct Window {
 struct Measured {
     lane: u8,
     density_veh_km: Option<f64>,
+    density_ci90: Option<[f64; 2]>,
     flow_veh_h: Option<f64>,
+    flow_ci90: Option<[f64; 2]>,
     speed_kmh: Option<f64>,
+    speed_ci90: Option<[f64; 2]>,
     time_occupancy: Option<f64>,
+    time_occupancy_ci90: Option<[f64; 2]>,
     passed: Option<BTreeMap<String, u32>>,
     density_difference: Option<f64>,
 }
@@ -60,7 +65,23 @@ struct Sums {
     passed: u32,
 }
 
-/// A table with a row a lane and window: truth, what was measured, and the difference.
+/// How many intervals of one quantity there were, and how many of them hold the truth.
+#[derive(Default)]
+struct Held {
+    all: u32,
+    held: u32,
+}
+
+impl Held {
+    fn add(&mut self, truth: f64, interval: Option<[f64; 2]>) {
+        let Some([low, high]) = interval else { return };
+        self.all += 1;
+        self.held += u32::from((low..=high).contains(&truth));
+    }
+}
+
+/// A table with a row a lane and window: truth, what was measured, and the difference; below it
+/// how many intervals hold the truth, where there are any.
 ///
 /// # Errors
 /// [`Failure`] for a file that cannot be read or is not what it should be.
@@ -70,28 +91,41 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
         "| window | lane | flow, veh/h | speed, km/h | density, veh/km | time occupancy, % | passed | \
          q - k v, % | by pictures less Edie, veh/km |\n|---|---|---|---|---|---|---|---|---|\n",
     );
+    let mut held: [(&str, Held); 4] =
+        ["flow", "speed", "density", "time occupancy"].map(|name| (name, Held::default()));
     for window in lines::<Window>(windows)? {
-        let inside = |frame: &&Frame| (window.from..window.to).contains(&frame.time);
-        let within: Vec<&Frame> = frames.iter().filter(inside).collect();
-        let seconds = match (within.first(), within.last()) {
-            (Some(first), Some(last)) => last.time.duration_since(first.time).as_secs_f64(),
-            _ => 0.0,
-        };
+        let mut seconds = 0.0;
         let mut sums: BTreeMap<u8, Sums> = BTreeMap::new();
-        // The first frame's sums are of the time before it.
-        for lane in within.iter().skip(1).flat_map(|frame| &frame.lanes) {
-            let sum = sums.entry(lane.lane).or_default();
-            sum.length_m = lane.length_m;
-            sum.distance_m += lane.distance_m;
-            sum.time_s += lane.time_s;
-            sum.occupied_s += lane.occupied_s;
-            sum.passed += lane.passed;
+        // A frame's sums are of the time since the one before it, and count where it lies.
+        for pair in frames.windows(2) {
+            let [before, frame] = pair else { continue };
+            if !(window.from..window.to).contains(&frame.time) {
+                continue;
+            }
+            seconds += frame.time.duration_since(before.time).as_secs_f64();
+            for lane in &frame.lanes {
+                let sum = sums.entry(lane.lane).or_default();
+                sum.length_m = lane.length_m;
+                sum.distance_m += lane.distance_m;
+                sum.time_s += lane.time_s;
+                sum.occupied_s += lane.occupied_s;
+                sum.passed += lane.passed;
+            }
         }
         for lane in &window.lanes {
             let Some(sum) = sums.get(&lane.lane) else { continue };
             let area = sum.length_m * seconds;
             let (flow, density) = (sum.distance_m / area * 3600.0, sum.time_s / area * 1000.0);
             let (speed, occupancy) = (sum.distance_m / sum.time_s * 3.6, sum.occupied_s / seconds);
+            let intervals = [
+                (flow, lane.flow_ci90),
+                (speed, lane.speed_ci90),
+                (density, lane.density_ci90),
+                (occupancy, lane.time_occupancy_ci90),
+            ];
+            for ((_, held), (truth, interval)) in held.iter_mut().zip(intervals) {
+                held.add(truth, interval);
+            }
             let part = |truth: f64, found: Option<f64>| {
                 found.map_or_else(
                     || format!("{truth:.1}: -"),
@@ -121,6 +155,12 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
                 number(lane.density_difference),
             );
         }
+    }
+    let known = held.iter().filter(|(_, held)| held.all > 0);
+    let known: Vec<_> =
+        known.map(|(name, Held { all, held })| format!("{name} {held} of {all}")).collect();
+    if !known.is_empty() {
+        let _ = writeln!(text, "\n90 % intervals that hold the truth: {}.", known.join(", "));
     }
     Ok(text)
 }

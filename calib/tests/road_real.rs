@@ -51,7 +51,8 @@ fn judge(known: &UncertainCamera, held_out: &[Length]) -> (Vec<f64>, bool) {
 
 fn row(name: &str, known: &UncertainCamera, held_out: &[Length]) -> f64 {
     let (errors, holds) = judge(known, held_out);
-    let median = errors[errors.len() / 2];
+    let middle = errors.len() / 2;
+    let median = 0.5 * (errors[middle] + errors[(errors.len() - 1) / 2]);
     println!(
         "| {name} | {} | {:.1} % | {:.1} % | {} |",
         errors.len(),

@@ -219,6 +219,9 @@ fn cues(made: &Made, set: &str, hand: &mut Hand) -> Cues {
 
 /// How one fit did.
 struct Outcome {
+    /// Error of each stretch, as a part of it.
+    errors: Vec<f64>,
+    /// Their mean.
     error: f64,
     mean: f64,
     stated: f64,
@@ -275,7 +278,16 @@ fn judge(made: &Made, cues: &Cues) -> Option<Outcome> {
             holds(0.5 * length, length),
         ],
         seconds,
+        errors,
     })
+}
+
+/// The value below which a part `q` lies.
+fn quantile(values: impl IntoIterator<Item = f64>, q: f64) -> f64 {
+    let mut values: Vec<f64> = values.into_iter().collect();
+    values.sort_by(f64::total_cmp);
+    let at = ((values.len() as f64 - 1.0) * q).round() as usize;
+    values.get(at).copied().unwrap_or(f64::NAN)
 }
 
 /// Time that this thread had a core, s, on Linux.
@@ -291,7 +303,7 @@ pub fn table(folder: &Path, only: &str, draws: u64, each: bool, exact: bool) {
     folders.sort();
     let all: Vec<Made> = folders.iter().filter_map(|f| read(f, exact)).collect();
     println!(
-        "| cues | picture | cameras | median | p90 | expected | of the mean: median | p90 | near, middle, far, whole hold | stated | cpu ms | failed |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
+        "| cues | picture | cameras | median | p90 | of stretches: median | p90 | expected | of the mean: median | p90 | near, middle, far, whole hold | stated | cpu ms | failed |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
     );
     for set in SETS.into_iter().filter(|s| s.contains(only)) {
         for width in [320, 720] {
@@ -318,32 +330,29 @@ pub fn table(folder: &Path, only: &str, draws: u64, each: bool, exact: bool) {
                     }
                 }
             }
-            let quantile = |q: f64, of: &dyn Fn(&Outcome) -> f64| {
-                let mut values: Vec<f64> = outcomes.iter().map(of).collect();
-                values.sort_by(f64::total_cmp);
-                values
-                    .get(((values.len() as f64 - 1.0) * q).round() as usize)
-                    .copied()
-                    .unwrap_or(f64::NAN)
-            };
+            let of = |of: fn(&Outcome) -> f64, q| 100.0 * quantile(outcomes.iter().map(of), q);
+            let stretches =
+                |q| 100.0 * quantile(outcomes.iter().flat_map(|o| o.errors.iter().copied()), q);
             let held = |k: usize| {
                 100.0 * outcomes.iter().filter(|o| o.held[k]).count() as f64
                     / outcomes.len().max(1) as f64
             };
             println!(
-                "| {set} | {width} | {} | {:.1} % | {:.1} % | {:.1} % | {:.1} % | {:.1} % | {:.0}, {:.0}, {:.0}, {:.0} % | {:.1} % | {:.1} | {failed} |",
+                "| {set} | {width} | {} | {:.1} % | {:.1} % | {:.1} % | {:.1} % | {:.1} % | {:.1} % | {:.1} % | {:.0}, {:.0}, {:.0}, {:.0} % | {:.1} % | {:.1} | {failed} |",
                 outcomes.len(),
-                100.0 * quantile(0.5, &|o| o.error),
-                100.0 * quantile(0.9, &|o| o.error),
-                100.0 * quantile(0.5, &|o| o.expected),
-                100.0 * quantile(0.5, &|o| o.mean),
-                100.0 * quantile(0.9, &|o| o.mean),
+                of(|o| o.error, 0.5),
+                of(|o| o.error, 0.9),
+                stretches(0.5),
+                stretches(0.9),
+                of(|o| o.expected, 0.5),
+                of(|o| o.mean, 0.5),
+                of(|o| o.mean, 0.9),
                 held(0),
                 held(1),
                 held(2),
                 held(3),
-                100.0 * quantile(0.5, &|o| o.stated),
-                1000.0 * quantile(0.5, &|o| o.seconds),
+                of(|o| o.stated, 0.5),
+                10.0 * of(|o| o.seconds, 0.5),
             );
         }
     }

@@ -44,10 +44,21 @@ pub struct CameraLook {
     pub trust: String,
     /// Standard errors near, in the middle and far.
     pub errors: [ErrorLook; 3],
+    /// The largest that is trusted.
+    pub limits: Limits,
     /// Standard error of the whole stretch, as a part of it.
     pub whole: f64,
     /// How much longer cars are here than in most fleets, as a part, where traffic is a cue.
     pub traffic: Option<TrafficLook>,
+}
+
+/// The largest errors that are trusted, at the far end and across the road.
+#[derive(Debug, Serialize)]
+pub struct Limits {
+    /// Along the road, as a part.
+    pub along: f64,
+    /// Across the road, as a part.
+    pub across: f64,
 }
 
 /// Error of lengths at one distance.

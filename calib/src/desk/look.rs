@@ -4,8 +4,8 @@
 //! (see `road`, `trust`); the answer has whatever they refuse, in their own words.
 
 use super::answer::{
-    CameraLook, ErrorLook, LaneLook, LaneMeasured, LengthLook, Look, RectangleLook, StripLook,
-    TrafficLook, VehicleLook,
+    CameraLook, ErrorLook, LaneLook, LaneMeasured, LengthLook, Limits, Look, RectangleLook,
+    StripLook, TrafficLook, VehicleLook,
 };
 use super::drawing::{Drawing, Lane, Px};
 use super::strips::Strip;
@@ -21,7 +21,7 @@ use crate::road::fit::{self, BoxCue, Fit, PlaceErrors};
 use crate::road::judge::{Judged, MAX_SPAN_M, MIN_CAR_PX, judge_lanes};
 use crate::road::lane_table::require_apart;
 use crate::road::outline;
-use crate::trust::{MAX_REL_ERR, Reason, Trust};
+use crate::trust::{MAX_ACROSS_REL_ERR, MAX_FAR_REL_ERR, MAX_REL_ERR, Reason, Trust};
 use crate::validation::check_vehicle;
 use nalgebra::{Vector2, Vector3};
 use std::sync::LazyLock;
@@ -187,6 +187,7 @@ fn camera_look(found: &Fit) -> CameraLook {
         tilt_deg: camera.tilt_rad().to_degrees(),
         trust: found.trust.to_string(),
         errors: [one(&errors.near), one(&errors.middle), one(&errors.far)],
+        limits: Limits { along: MAX_FAR_REL_ERR, across: MAX_ACROSS_REL_ERR },
         whole: errors.whole.rel_sd,
         traffic: found.traffic.as_ref().map(|t| TrafficLook {
             used: t.used,

@@ -153,9 +153,6 @@ function cameraCard(desk) {
   }
   const good = camera.trust === "ok";
   const names = ["near", "middle", "far"];
-  const limit = 0.25;
-  // As `MAX_ACROSS_REL_ERR` of the program.
-  const acrossLimit = 0.2;
   return el("div", { class: `card ${good ? "good" : "bad"}`, id: "camera-card" },
     el("div", { class: `big ${good ? "" : "bad-text"}`, text: `Lengths ± ${percent(camera.whole)}` }),
     !good && el("div", { class: "bad-text", id: "trust", text: camera.trust }),
@@ -167,13 +164,13 @@ function cameraCard(desk) {
     ),
     el("div", { class: "bars" }, ...camera.errors.flatMap((e, k) => {
       const fillBar = el("i");
-      fillBar.style.width = `${Math.min(100, (100 * e.along) / limit)}%`;
+      fillBar.style.width = `${Math.min(100, (100 * e.along) / camera.limits.along)}%`;
       fillBar.style.background = errorColour(e.along);
       return [el("span", { class: "dim", text: names[k] }), el("span", { class: "bar" }, fillBar), el("span", { class: "value", text: `± ${percent(e.along)}` })];
     })),
-    el("div", { class: "facts", id: "across", title: "Of a stretch of 6 m across the road: beyond 20 % a vehicle could count in the wrong lane" },
+    el("div", { class: "facts", id: "across", title: `Of a stretch of 6 m across the road: beyond ${percent(camera.limits.across)} a vehicle could count in the wrong lane` },
       el("span", { class: "dim", text: "across the road" }),
-      ...camera.errors.map((e, k) => el("span", { class: e.across > acrossLimit ? "bad-text" : "", text: `${names[k]} ± ${percent(e.across)}` }))),
+      ...camera.errors.map((e, k) => el("span", { class: e.across > camera.limits.across ? "bad-text" : "", text: `${names[k]} ± ${percent(e.across)}` }))),
     camera.traffic && el("div", { class: "dim", text: `${camera.traffic.used} vehicles agree; cars here would be ${(100 * camera.traffic.longer).toFixed(1)} % longer than most fleets (± ${(100 * camera.traffic.longer_sd).toFixed(1)} %)` }),
   );
 }

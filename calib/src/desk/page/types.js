@@ -47,6 +47,7 @@
  * @property {number} tilt_deg
  * @property {string} trust
  * @property {{at: Px, along: number, across: number}[]} errors
+ * @property {{along: number, across: number}} limits
  * @property {number} whole
  * @property {{used: number, longer: number, longer_sd: number} | null} traffic
  */

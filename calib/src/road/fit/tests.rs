@@ -6,7 +6,7 @@ use super::hull::{Footing, log_box, look};
 use super::problem::{Problem, Theta, camera_of, shared_of};
 use super::traffic::{OUTLINE, SHARED, SHARED_SD, Shared, log_size};
 use super::view::{CAMERA, Unknowns, View};
-use super::{BoxCue, Cues, LaneCue, fit};
+use super::{BoxCue, Cues, LaneCue, MarkCue, advice, fit};
 use nalgebra::{Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -155,4 +155,30 @@ fn what_boxes_share_has_the_slopes_that_the_residuals_have() {
             );
         }
     }
+}
+
+#[test]
+fn where_the_width_of_the_lanes_is_asked_for_it_helps_across() {
+    let mut asked = 0;
+    for seed in 0..12 {
+        let (camera, mut cues) = drawn(seed, 0);
+        let view = View::new(&camera, SIZE);
+        let ends = [20.0, 55.0].map(|y| view.project(Vector3::new(0.0, y, 0.0))).to_vec();
+        cues.marks = vec![MarkCue::measured("along", ends, 35.0)];
+        let advised = |cues: &Cues| {
+            let found = fit(cues, SIZE).expect("a camera");
+            let advice = advice::best_across(&found.known, cues, found.errors());
+            (advice.expect("an advice"), found.errors().worst_across().error.rel_sd)
+        };
+        let (advice, before) = advised(&cues);
+        if advice != "the width of the lanes (--lane-width)" {
+            continue;
+        }
+        asked += 1;
+        cues.lane_width_m = Some(3.4);
+        let (advice, after) = advised(&cues);
+        assert!(after < 0.8 * before, "camera {seed}: {before} {after}");
+        assert!(advice.contains("length"), "camera {seed}: {advice}");
+    }
+    assert!(asked > 0);
 }

@@ -125,6 +125,15 @@ impl Errors {
         Some(of(known.day) * (1.0 - load.night) + of(known.night) * load.night)
     }
 
+    /// One standard error of the vehicles that are missed or counted twice, as a part of those that
+    /// drive: without what stands in an empty road too, which covers no distance. The larger of day
+    /// and night; `None` where it is not known, or where the site's audit has it.
+    pub fn of_those_that_drive(&self) -> Option<f32> {
+        let is_corrected = self.site.as_ref().is_some_and(|site| !site.by_load.is_empty());
+        let Counting { day, night } = self.counting.filter(|_| !is_corrected)?;
+        Some(day.relative.max(night.relative))
+    }
+
     /// The error of a density of `mean` vehicles (after correction), of which nobody saw the part
     /// `hidden`, in a lane of `length_km`, whose sampling error is `sampling` veh/km; `None` where a
     /// part of it is not known.
@@ -239,5 +248,8 @@ mod tests {
         let without = Errors { counting: Some(COUNTING), site: None };
         let of = |errors: &Errors| errors.of((2.0, 0.0), 3.0, (0.1, Some(0.05)), LOAD);
         assert_eq!(of(&errors), of(&without));
+        assert_eq!(errors.of_those_that_drive(), Some(0.2), "by night");
+        let corrected = Errors { site: Some(site(&[(2.0, 0.8, 0.1)])), ..errors };
+        assert_eq!(corrected.of_those_that_drive(), None);
     }
 }

@@ -60,7 +60,7 @@ impl<const W: usize> Preset<W> {
             let is_corrected = errors.site.as_ref().is_some_and(|site| !site.by_load.is_empty());
             // One error for all lanes there: the largest.
             let largest = length_rel_err.iter().copied().flatten().reduce(f32::max);
-            traffic.set_errors(largest, is_corrected);
+            traffic.set_errors(largest, errors.of_those_that_drive(), is_corrected);
         }
         self.aggregator.set_errors(length_rel_err, errors);
     }

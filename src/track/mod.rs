@@ -164,7 +164,11 @@ impl LaneTracker {
         let end_m = self.length_m;
         self.tracks.retain(|track| {
             let left = track.missed > 0 && track.motion.s_m >= end_m;
-            !left && !track.is_lost()
+            let is_lost = !left && track.is_lost();
+            if is_lost && track.counts() {
+                moves.unseen_s += track.unseen_s;
+            }
+            !left && !is_lost
         });
         self.begin(sightings, &is_taken, &mut moves);
         self.is_new = false;
@@ -207,6 +211,7 @@ impl LaneTracker {
         if track.missed > 1 {
             let bridged = covered.distance_m;
             moves.bridged_m2 += bridged * bridged;
+            moves.unseen_s += covered.time_s;
         }
         if sighting.is_some() {
             track.seen_at(to_m);

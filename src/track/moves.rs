@@ -51,6 +51,9 @@ pub struct Moves {
     pub bridged_m2: f32,
     /// Sum of the variances of the places at which vehicles came into being and left, m².
     pub place_m2: f32,
+    /// Part of the time spent in which a vehicle was not seen, and time unseen of those that were
+    /// given up, which is no part of it, s.
+    pub unseen_s: f32,
     /// Who passed the section.
     pub passages: Passages,
     /// Length of the longest queue at the end, m.

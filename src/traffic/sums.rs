@@ -19,6 +19,7 @@ pub struct Sums {
     /// As [`Moves`] has them.
     pub(super) bridged_m2: f32,
     pub(super) place_m2: f32,
+    pub(super) unseen_s: f32,
     /// The longest queue's length over time, m s, and the most of it, m.
     pub(super) queue_m_s: f32,
     pub(super) queue_max_m: f32,
@@ -33,7 +34,7 @@ pub struct Sums {
 impl Sums {
     pub(super) fn add(&mut self, moves: &Moves) {
         let Moves { observed_s, distance_m, time_s, occupied_s, bridged_m2, place_m2, .. } = moves;
-        let Moves { passages, queue_m, lost, .. } = moves;
+        let Moves { unseen_s, passages, queue_m, lost, .. } = moves;
         self.pictures = self.pictures.saturating_add(1);
         self.observed_s += observed_s;
         self.distance_m += distance_m;
@@ -41,6 +42,7 @@ impl Sums {
         self.occupied_s += occupied_s;
         self.bridged_m2 += bridged_m2;
         self.place_m2 += place_m2;
+        self.unseen_s += unseen_s;
         self.queue_m_s += queue_m * observed_s;
         self.queue_max_m = self.queue_max_m.max(*queue_m);
         self.lost = self.lost.saturating_add(u32::from(*lost));

@@ -59,7 +59,7 @@ fn moves(step: u32) -> LaneMoves {
 
 fn windows(steps: u32, min_completeness: f32) -> Windows<1> {
     let mut windows = Windows::new(&[MINUTE], FIFTH * 2, min_completeness);
-    windows.set_errors(Some(0.02), false);
+    windows.set_errors(Some(0.02), None, false);
     for step in 0..steps {
         windows.add(UtcMs(60_000 + 200 * i64::from(step)), &moves(step));
     }
@@ -96,13 +96,42 @@ fn flow_is_density_times_speed() {
     near(section.speed_time_mean_kmh, 36.0);
     near(section.headway_s, 5.0);
     assert!(section.headway_sd_s.expect("twelve of them") < 0.01);
-    // A tenth of counting, which weighs most; two hundredths of length.
+    // A tenth of counting, which weighs most; two hundredths of length, with those of places.
     let [low, high] = traffic.flow_ci90.expect("all is known");
-    assert!((high - low - 2.0 * 1.645 * 78.0).abs() < 2.0, "{low} to {high}");
+    assert!((high - low - 2.0 * 1.645 * 73.0).abs() < 2.0, "{low} to {high}");
     let [low, high] = traffic.speed_ci90.expect("all is known");
-    assert!((high - low - 2.0 * 1.645 * 0.72).abs() < 0.01, "{low} to {high}");
+    assert!((high - low - 2.0 * 1.645 * 0.84).abs() < 0.01, "{low} to {high}");
     let error = lane.error.expect("kept");
     assert!((error.ci90[0] + error.ci90[1] - 40.0).abs() < 1e-3, "about the density");
+    let half = 1.645 * libm::hypotf(0.1 * 20.0, 0.02 * 20.0);
+    assert!((error.ci90[1] - 20.0 - half).abs() < 1e-3, "counting and length, no sampling");
+}
+
+#[test]
+fn what_stands_in_an_empty_road_is_no_error_of_a_flow() {
+    let mut windows = windows(300, 0.75);
+    windows.set_errors(Some(0.02), Some(0.05), false);
+    let traffic = lane(&windows, Some(20.0)).traffic.expect("followed");
+    let [low, high] = traffic.flow_ci90.expect("all is known");
+    // A twentieth of the vehicles, where the density has a tenth; a fifth of one in a minute.
+    let expected = libm::hypotf(36.0, 12.0);
+    assert!((high - low - 2.0 * 1.645 * expected).abs() < 1.0, "{low} to {high}");
+}
+
+#[test]
+fn time_unseen_makes_a_speed_less_sure() {
+    let half = |unseen_s: f32| {
+        let mut windows = windows(299, 0.75);
+        let mut last = moves(299);
+        last[0].unseen_s = unseen_s;
+        windows.add(UtcMs(60_000 + 200 * 299), &last);
+        let [low, high] = lane(&windows, Some(20.0)).traffic.expect("followed").speed_ci90?;
+        Some((high - low) / 2.0)
+    };
+    let (none, some) = (half(0.0).expect("known"), half(24.0).expect("known"));
+    // A fifth of the time that both spent.
+    let expected = libm::hypotf(none, 36.0 * 1.645 * UNSEEN_REL_ERR / 5.0);
+    assert!((some - expected).abs() < 0.02, "{none}, {some} for {expected}");
 }
 
 #[test]
@@ -134,7 +163,7 @@ fn another_window_begins_at_nothing() {
 #[test]
 fn an_empty_road_has_a_flow_and_no_speed() {
     let mut windows = Windows::<1>::new(&[MINUTE], FIFTH, 0.75);
-    windows.set_errors(Some(0.02), false);
+    windows.set_errors(Some(0.02), None, false);
     for step in 0..300 {
         let mut all = LaneMoves::default();
         all.iter_mut().for_each(|moves| moves.observed_s = 0.2);
@@ -149,7 +178,7 @@ fn an_empty_road_has_a_flow_and_no_speed() {
 #[test]
 fn where_a_site_corrects_its_counts_flow_follows_density() {
     let mut windows = windows(300, 0.75);
-    windows.set_errors(Some(0.02), true);
+    windows.set_errors(Some(0.02), None, true);
     let lane = lane(&windows, Some(24.0));
     let traffic = lane.traffic.expect("followed");
     assert_eq!(lane.density_veh_km, Some(24.0));

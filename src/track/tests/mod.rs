@@ -273,6 +273,28 @@ fn who_is_hidden_in_a_queue_is_still_there() {
 }
 
 #[test]
+fn time_unseen_is_told() {
+    // 10 m/s, not seen for a second; or not seen again before the lane's end is near.
+    let unseen_s = |hidden: core::ops::Range<u8>| {
+        let mut tracker = LaneTracker::new(&lane());
+        let mut unseen_s = 0.0;
+        for step in 0..40_u8 {
+            let mut seen = Sightings::new();
+            if !hidden.contains(&step) {
+                let (s_m, class) = (f32::from(step) * 2.0, VehicleClass::Car);
+                let _ = seen.push(Sighting { s_m, span_m: 0.1, class });
+            }
+            unseen_s += tracker.observe(0.2, &mut seen).unseen_s;
+        }
+        unseen_s
+    };
+    assert_eq!(unseen_s(0..0), 0.0);
+    assert!((unseen_s(10..14) - 1.0).abs() < 1e-3, "from the last sighting to the next");
+    let given_up = unseen_s(10..40);
+    assert!((BRIDGE_S..BRIDGE_S + 0.5).contains(&given_up), "{given_up}");
+}
+
+#[test]
 fn the_section_is_where_it_was_set() {
     let mut tracker = LaneTracker::new(&lane());
     assert!(!tracker.set_section(0.0) && !tracker.set_section(LANE_M));

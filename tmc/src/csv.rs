@@ -1,6 +1,8 @@
 //! Tables of comma-separated values: columns by name, errors by line and column.
 //!
-//! Fields may be in double quotes; a quoted field ends on its line.
+//! Fields may be in double quotes; a quoted field ends on its line. Our own, and short: each error
+//! names its line, a quote that does not end too, for which a reader of whole files (the crate `csv`)
+//! would take all the rest as one field.
 
 use crate::gzip::read_text;
 use std::path::{Path, PathBuf};

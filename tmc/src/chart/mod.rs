@@ -1,6 +1,7 @@
 //! Drawing: one list of shapes, written as SVG (for a page), PDF (for print) or PNG.
 //!
-//! Owns shapes in pixels and their SVG, of which resvg makes the PNG; `axes` places data in them.
+//! Owns shapes in pixels and their SVG, of which resvg makes the PNG; `axes` places data in them. Our
+//! own, for one drawing is three files: chart libraries (plotters) write SVG and PNG, no PDF.
 
 pub mod axes;
 mod pdf;

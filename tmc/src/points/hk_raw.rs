@@ -1,10 +1,13 @@
 //! Hong Kong's raw feed: XML with speed, occupancy and volume of each lane in 30 s.
 //!
 //! Density is k = q / v with q 120 times the volume; a lane that is not valid is left out.
-//! Reads the elements it needs and passes over others; no entities, as the feed has none.
+//! Reads the elements it needs and passes over others.
 
 use super::Readings;
 use crate::gzip::read_text;
+use quick_xml::Reader;
+use quick_xml::escape::resolve_predefined_entity;
+use quick_xml::events::Event;
 use std::path::Path;
 use verge_desk::Failure;
 
@@ -23,59 +26,65 @@ struct Lane {
 /// Readings of every detector, lane and period.
 pub(super) fn read(path: &Path) -> Result<Readings, Failure> {
     let text = read_text(path)?;
-    let wrong = |rest: &str, reason: String| {
-        let line = 1 + text[..text.len() - rest.len()].matches('\n').count();
-        Failure::content(path, line, reason)
-    };
+    let mut reader = Reader::from_str(&text);
     let mut readings = Readings::default();
     let (mut detector, mut lane) = (String::new(), Lane::default());
-    let mut open: Vec<&str> = Vec::new();
-    let mut rest = text.as_str();
-    while let Some(at) = rest.find('<') {
-        let content = rest[..at].trim();
-        rest = &rest[at..];
-        let Some(end) = rest.find('>') else {
-            return Err(wrong(rest, "breaks off inside a tag; fetch the file again".into()));
-        };
-        let tag = &rest[1..end];
-        if let Some(name) = tag.strip_prefix('/') {
-            if open.pop() != Some(name) {
-                return Err(wrong(rest, format!("</{name}> closes an element that is not open")));
+    let (mut open, mut content) = (Vec::new(), String::new());
+    loop {
+        let event = reader.read_event();
+        // Where the event ends, or the fault begins.
+        let at = if event.is_err() { reader.error_position() } else { reader.buffer_position() };
+        let before = text.get(..at as usize).unwrap_or(&text);
+        let wrong =
+            |reason: String| Failure::content(path, 1 + before.matches('\n').count(), reason);
+        match event.map_err(|error| wrong(format!("is not XML ({error}); fetch the file again")))? {
+            Event::Start(tag) => {
+                open.push(tag.name().0.to_owned());
+                content.clear();
             }
-            let number = || {
-                let value = content.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
-                value.ok_or_else(|| {
-                    wrong(rest, format!("<{name}> {content:?} is not a number from 0"))
-                })
-            };
-            match name {
-                "detector_id" => content.clone_into(&mut detector),
-                "lane_id" => content.clone_into(&mut lane.name),
-                "speed" if !content.is_empty() => lane.speed = Some(number()?),
-                "volume" if !content.is_empty() => lane.volume = Some(number()?),
-                "valid" => lane.valid = content == "Y",
-                "lane" => {
-                    let ended = std::mem::take(&mut lane);
-                    match (ended.valid, ended.volume, ended.speed) {
-                        (true, Some(volume), Some(speed)) => {
-                            readings.add_flow(&detector, &ended.name, volume * PER_HOUR, speed);
+            Event::Text(text) => content.push_str(&text),
+            Event::GeneralRef(entity) => {
+                content.push_str(resolve_predefined_entity(&entity).unwrap_or_default());
+            }
+            Event::End(_) => {
+                let name = open.pop().unwrap_or_default();
+                let content = content.trim();
+                let number = || {
+                    let value = content.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
+                    value.ok_or_else(|| {
+                        wrong(format!("<{name}> {content:?} is not a number from 0"))
+                    })
+                };
+                match name.as_str() {
+                    "detector_id" => content.clone_into(&mut detector),
+                    "lane_id" => content.clone_into(&mut lane.name),
+                    "speed" if !content.is_empty() => lane.speed = Some(number()?),
+                    "volume" if !content.is_empty() => lane.volume = Some(number()?),
+                    "valid" => lane.valid = content == "Y",
+                    "lane" => {
+                        let ended = std::mem::take(&mut lane);
+                        match (ended.valid, ended.volume, ended.speed) {
+                            (true, Some(volume), Some(speed)) => {
+                                let flow = volume * PER_HOUR;
+                                readings.add_flow(&detector, &ended.name, flow, speed);
+                            }
+                            _ => readings.invalid += 1,
                         }
-                        _ => readings.invalid += 1,
                     }
+                    _ => {}
                 }
-                _ => {}
             }
-        } else if !tag.starts_with(['?', '!']) && !tag.ends_with('/') {
-            open.push(tag.split_whitespace().next().unwrap_or_default());
+            Event::Eof => match open.last() {
+                Some(name) => {
+                    return Err(wrong(format!("ends inside <{name}>; fetch the file again")));
+                }
+                None if readings.kept.is_empty() && readings.invalid + readings.empty == 0 => {
+                    return Err(wrong("has no <lane>; is it Hong Kong's raw feed?".into()));
+                }
+                None => return Ok(readings),
+            },
+            _ => {}
         }
-        rest = &rest[end + 1..];
-    }
-    match open.last() {
-        Some(name) => Err(wrong(rest, format!("ends inside <{name}>; fetch the file again"))),
-        None if readings.kept.is_empty() && readings.invalid + readings.empty == 0 => {
-            Err(wrong("", "has no <lane>; is it Hong Kong's raw feed?".into()))
-        }
-        None => Ok(readings),
     }
 }
 
@@ -90,7 +99,7 @@ mod tests {
         read(&path)
     }
 
-    const LANE: &str = "<lane><lane_id>Fast Lane</lane_id><speed>60</speed>\
+    const LANE: &str = "<lane><lane_id>Fast &amp; Slow</lane_id><speed>60</speed>\
         <occupancy>1</occupancy><volume>3</volume><s.d.>7.5</s.d.><valid>Y</valid></lane>";
 
     #[test]
@@ -104,6 +113,7 @@ mod tests {
         assert_eq!((readings.kept.len(), readings.invalid), (1, 1));
         assert_eq!(readings.kept[0].density, 6.0);
         assert_eq!(readings.kept[0].detector, "A1");
+        assert_eq!(readings.kept[0].lane, "Fast & Slow");
     }
 
     #[test]
@@ -111,8 +121,8 @@ mod tests {
         for (text, said) in [
             (format!("<l>\n{LANE}"), "ends inside <l>"),
             ("<l><speed>fast</speed></l>".to_owned(), "<speed> \"fast\" is not a number"),
-            ("<l>\n</m>".to_owned(), "line 2: </m> closes"),
-            ("<l><spe".to_owned(), "breaks off inside a tag"),
+            ("<l>\n</m>".to_owned(), "line 2: is not XML"),
+            ("<l><spe".to_owned(), "is not XML"),
             ("<l></l>".to_owned(), "has no <lane>"),
         ] {
             let error = of(&text).unwrap_err().to_string();

@@ -124,7 +124,7 @@ fn run_page(path: &str, text: &str, programs: &Path) -> usize {
     }
     let folder = tempfile::tempdir().expect("a temporary folder");
     let share = given(folder.path());
-    let mut groups = Vec::new();
+    let mut groups = Groups::default();
     let mut ran = 0;
     for block in &blocks {
         let named = block.info.split_whitespace().find_map(|word| word.strip_prefix("file="));
@@ -149,7 +149,7 @@ fn run_page(path: &str, text: &str, programs: &Path) -> usize {
         for (command, expected) in steps {
             let command = command.replace("/usr/share/verge", &share);
             let (group, passed, printed) = run(&command, folder.path(), programs);
-            groups.push(group);
+            groups.0.push(group);
             let at = format!("{path}:{}", block.line);
             assert!(passed, "{at}: {command}\n{printed}");
             let printed = printed.replace(&share, "/usr/share/verge");
@@ -163,12 +163,20 @@ fn run_page(path: &str, text: &str, programs: &Path) -> usize {
         }
         ran += 1;
     }
-    // Ends programs that a block left running in the background.
-    for group in groups {
-        let _ =
-            Command::new("kill").args(["--", &format!("-{group}")]).stderr(Stdio::null()).status();
-    }
     ran
+}
+
+/// Process groups, ended with what a block left running in the background, where a step fails too.
+#[derive(Default)]
+struct Groups(Vec<u32>);
+
+impl Drop for Groups {
+    fn drop(&mut self) {
+        for group in &self.0 {
+            let group = format!("-{group}");
+            let _ = Command::new("kill").args(["--", &group]).stderr(Stdio::null()).status();
+        }
+    }
 }
 
 /// The files that packages install below `/usr/share/verge`, and recordings of the tests.

@@ -198,9 +198,11 @@ fn follow(lane: &mut LaneReport, density: f32) {
     let Some(before) = lane.density_veh_km.filter(|&before| before > 0.0) else { return };
     let factor = density / before;
     let scale = |value: &mut f32| *value *= factor;
-    for value in [&mut lane.density_veh_km, &mut lane.density_se, &mut lane.vehicles_mean] {
+    for value in [&mut lane.density_veh_km, &mut lane.vehicles_mean] {
         value.iter_mut().for_each(scale);
     }
+    // Followed all the time, it is not sampled.
+    lane.density_se = Some(0.0);
     lane.by_class.iter_mut().flatten().for_each(scale);
     if let Some(occupancy) = &mut lane.space_occupancy {
         *occupancy = (*occupancy * factor).min(1.0);
@@ -211,7 +213,6 @@ fn follow(lane: &mut LaneReport, density: f32) {
     if let Some(error) = &mut lane.error {
         error.calibration *= factor;
         error.counting *= factor;
-        // Followed all the time, it is not sampled.
         let half = Z90 * libm::hypotf(error.calibration, error.counting);
         error.ci90 = [(density - half).max(0.0), density + half];
     }

@@ -103,8 +103,9 @@ fn flow_is_density_times_speed() {
     assert!((high - low - 2.0 * 1.645 * 0.84).abs() < 0.01, "{low} to {high}");
     let error = lane.error.expect("kept");
     assert!((error.ci90[0] + error.ci90[1] - 40.0).abs() < 1e-3, "about the density");
+    assert_eq!(lane.density_se, Some(0.0), "no sampling");
     let half = 1.645 * libm::hypotf(0.1 * 20.0, 0.02 * 20.0);
-    assert!((error.ci90[1] - 20.0 - half).abs() < 1e-3, "counting and length, no sampling");
+    assert!((error.ci90[1] - 20.0 - half).abs() < 1e-3, "counting and length");
 }
 
 #[test]

@@ -35,9 +35,9 @@ pub const MAX_TRACKS: usize = 64;
 pub const MAX_SIGHTINGS: usize = 64;
 /// Pictures in which a vehicle must be seen before it counts.
 pub const CONFIRM: u8 = 3;
-/// Time after which it may count, s: what lasts for three of 25 pictures a second is not yet a
-/// vehicle.
-const CONFIRM_S: f32 = 0.3;
+/// Time after which it may count, s: second boxes on trailers last for a third of a second, and what
+/// counts is then taken to drive on.
+const CONFIRM_S: f32 = 0.5;
 /// Standard deviations of two places by which a vehicle may seem to go back.
 const BACKWARDS: f32 = 3.0;
 /// Sightings nearer than this to a vehicle's are second boxes of it, m: nobody stands so close.

@@ -295,6 +295,28 @@ fn time_unseen_is_told() {
 }
 
 #[test]
+fn what_lasts_for_less_than_half_a_second_is_no_vehicle() {
+    // 20 m/s, with a box of its trailer for a while before the section.
+    for dt in [0.04_f32, 0.08, 0.16] {
+        let mut tracker = LaneTracker::new(&lane());
+        let mut passed = 0;
+        for step in 0..(5.0 / dt) as u16 {
+            let time_s = f32::from(step) * dt;
+            let mut seen = Sightings::new();
+            let mut push = |s_m: f32| {
+                let _ = seen.push(Sighting { s_m, span_m: 0.1, class: VehicleClass::Truck });
+            };
+            push(20.0 * time_s);
+            if (2.7..3.15).contains(&time_s) {
+                push(20.0 * time_s - 8.0);
+            }
+            passed += tracker.observe(dt, &mut seen).passages.count();
+        }
+        assert_eq!(passed, 1, "{dt} s");
+    }
+}
+
+#[test]
 fn the_section_is_where_it_was_set() {
     let mut tracker = LaneTracker::new(&lane());
     assert!(!tracker.set_section(0.0) && !tracker.set_section(LANE_M));

@@ -1,8 +1,10 @@
 //! How many pictures a second following vehicles needs, from the length of a lane.
 //!
 //! Owns the rule. A vehicle at the highest speed must be in [`PICTURES`] pictures while it is on the
-//! lane, and two pictures may not be further apart than the shortest time between two vehicles.
+//! lane, and on it for long enough to count; two pictures may not be further apart than the shortest
+//! time between two vehicles.
 
+use super::CONFIRM_S;
 use crate::lane::Lane;
 use core::time::Duration;
 
@@ -20,7 +22,10 @@ pub const DEFAULT_TOP_KMH: f32 = 130.0;
 /// every one of these lanes; `None` where a lane is so short that 25 a second are too few.
 pub fn longest_interval(lanes: &[Lane], top_kmh: f32) -> Option<Duration> {
     let shortest = lanes.iter().map(|lane| lane.length_m).fold(f32::INFINITY, f32::min);
-    let seconds = shortest / (top_kmh / 3.6) / PICTURES;
+    let on_lane_s = shortest / (top_kmh / 3.6);
+    // The first picture of it may be late, and the one in which it counts.
+    let counts = (on_lane_s - CONFIRM_S) / 2.0;
+    let seconds = (on_lane_s / PICTURES).min(counts);
     // Written so that what is not a number is too short.
     if seconds >= SHORTEST_S {
         Duration::try_from_secs_f32(if seconds > LONGEST_S { LONGEST_S } else { seconds }).ok()
@@ -50,6 +55,9 @@ mod tests {
         let s = needed(&[500.0, 36.0], 129.6).expect("long enough");
         assert!((s - 0.25).abs() < 1e-3, "{s}");
         assert_eq!(needed(&[5.0], 130.0), None, "too short to follow anything");
+        let s = needed(&[27.0], 129.6).expect("long enough");
+        assert!((s - 0.125).abs() < 1e-3, "{s}: half of the 0.25 s in which it may count");
+        assert_eq!(needed(&[18.0], 129.6), None, "gone before it counts");
         assert_eq!(needed(&[50.0], f32::NAN), None);
     }
 }

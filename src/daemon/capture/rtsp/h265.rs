@@ -18,7 +18,7 @@ const PICTURE_SET: u8 = 34;
 const PROFILE: usize = 11;
 const LEVEL: usize = 1;
 const MOST_LAYERS: usize = 6;
-/// Longest way to a sequence set's number and through it, bytes: 31 zeros at most are read of it.
+/// The most of a sequence set that is read for its number, bytes.
 const SEQUENCE_HEAD: usize = 1 + (PROFILE + LEVEL) * (1 + MOST_LAYERS) + 2 + 8;
 
 /// See [`Syntax`].

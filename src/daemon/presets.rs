@@ -147,6 +147,12 @@ impl Preset {
         self.locator.place(point)
     }
 
+    /// Whether the section of a lane, where its vehicles are followed, lies between these two places.
+    pub fn is_section_between(&self, [a, b]: [Place; 2]) -> bool {
+        let section = self.tracker.as_ref().and_then(|tracker| tracker.section_m(a.lane));
+        a.lane == b.lane && section.is_some_and(|m| (a.s_m < m) != (b.s_m < m))
+    }
+
     /// The point that stands for the vehicle in a box, px of the picture; `None` where it lies
     /// outside.
     pub fn contact(&self, bounds: &PixelBox, picture: ImageSize) -> Option<ImagePoint> {

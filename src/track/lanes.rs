@@ -40,6 +40,12 @@ impl Tracker {
         known.is_some_and(|(_, tracker)| tracker.set_section(section_m))
     }
 
+    /// Where vehicles of that lane are counted, from its upstream end, m.
+    pub fn section_m(&self, lane: LaneId) -> Option<f32> {
+        let known = self.lanes.iter().find(|(id, _)| *id == lane);
+        known.map(|(_, tracker)| tracker.section_m())
+    }
+
     /// The longest time between two pictures with which it follows vehicles.
     pub const fn longest_interval(&self) -> Duration {
         self.longest

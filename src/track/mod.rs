@@ -112,6 +112,11 @@ impl LaneTracker {
         is_inside
     }
 
+    /// Where vehicles are counted, from the upstream end, m.
+    pub const fn section_m(&self) -> f32 {
+        self.section_m
+    }
+
     /// Forgets the vehicles: what comes next is not connected with what was.
     pub fn forget(&mut self) {
         self.tracks.clear();

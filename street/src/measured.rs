@@ -37,6 +37,8 @@ pub struct MeasuredLane {
     pub near_m: f64,
     /// Far end along the lane, m.
     pub far_m: f64,
+    /// The section at which passages and time occupancy are taken, likewise, m.
+    pub section_m: f64,
     /// The polygon in the picture, px: right edge outwards, left edge back.
     pub polygon: Vec<[f64; 2]>,
 }
@@ -56,7 +58,8 @@ impl MeasuredLane {
 /// Finds the measured stretch of every lane, as the installed camera sees it.
 ///
 /// # Errors
-/// [`Error::LaneNotVisible`] with the length found.
+/// [`Error::LaneNotVisible`] with the length found, [`Error::SceneValue`] where a section is not on
+/// its stretch.
 pub fn measured_lanes(scene: &Scene, road: &Road, lines: &[LaneLine]) -> Result<Vec<MeasuredLane>> {
     let camera = scene.camera();
     let envelope = longest_model(scene);
@@ -86,8 +89,22 @@ pub fn measured_lanes(scene: &Scene, road: &Road, lines: &[LaneLine]) -> Result<
         let outwards = (0..=pieces as usize).filter_map(|i| edge(i as f64, half));
         let back = (0..=pieces as usize).rev().filter_map(|i| edge(i as f64, -half));
         let polygon = outwards.chain(back).collect();
-        let number = index + 1;
-        found.push(MeasuredLane { number, direction: spec.direction, near_m, far_m, polygon });
+        let middle_m = (far_m - near_m) / 2.0;
+        let after_m = spec.section_m.unwrap_or(middle_m);
+        if !(0.0..=far_m - near_m).contains(&after_m) {
+            return Err(Error::SceneValue {
+                origin: scene.name.clone(),
+                key: format!("lane.{}.section_m", index + 1),
+                value: after_m.to_string(),
+                expected: format!("a place on its measured stretch of {} m", far_m - near_m),
+            });
+        }
+        let section_m = match spec.direction {
+            Direction::Away => near_m + after_m,
+            Direction::Toward => far_m - after_m,
+        };
+        let (number, direction) = (index + 1, spec.direction);
+        found.push(MeasuredLane { number, direction, near_m, far_m, section_m, polygon });
     }
     Ok(found)
 }

@@ -81,8 +81,8 @@ pub struct Snapshot {
 }
 
 /// Motion of a lane's vehicles on its measured stretch since the last query, by their footprints'
-/// centres: flow, density and speed by Edie's definitions follow from it, and at the section in the
-/// stretch's middle the count and the time occupancy.
+/// centres: flow, density and speed by Edie's definitions follow from it, and at the section the count
+/// and the time occupancy.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Moved {
     /// Distance covered by all of them, m.
@@ -98,7 +98,7 @@ pub struct Moved {
 impl Moved {
     /// Adds a vehicle of that length that went from one place along the lane to another in `dt_s`.
     fn add(&mut self, stretch: &MeasuredLane, [from, to]: [f64; 2], length_m: f64, dt_s: f64) {
-        let section = (stretch.near_m + stretch.far_m) / 2.0;
+        let section = stretch.section_m;
         let (low, high) = (from.min(to), from.max(to));
         let part = |near: f64, far: f64| {
             if high - low < 1e-9 {

@@ -94,7 +94,7 @@ pub struct LaneTruth {
     pub distance_m: f64,
     /// Likewise time spent, s.
     pub time_s: f64,
-    /// Likewise time for which a vehicle covered the section in the stretch's middle, s.
+    /// Likewise time for which a vehicle covered the section, s.
     pub occupied_s: f64,
     /// Likewise vehicles that passed it.
     pub passed: u32,

@@ -68,6 +68,22 @@ fn a_long_red_fills_the_lane_to_jam_density() {
 }
 
 #[test]
+fn a_section_before_the_stop_line_is_covered_all_red() {
+    let mut scene = support::tiny(&["fleet.van=0.0", "fleet.motorcycle=0.0"]);
+    let stretch = Simulation::new(&scene, 9).expect("a street").measured()[0].clone();
+    let at_m = stretch.near_m + 10.0;
+    scene.lanes[0].signal = Some(Signal { at_m, green_s: 1.0, red_s: 3000.0, offset_s: -60.0 });
+    let mut covered_s = |upstream_m: f64| {
+        scene.lanes[0].section_m = Some(stretch.far_m - at_m - upstream_m);
+        let mut street = Simulation::new(&scene, 9).expect("a street");
+        street.step(100.0);
+        street.take_moved()[0].occupied_s
+    };
+    assert!((covered_s(2.0) - 100.0).abs() < 1e-6, "a car stands on it");
+    assert!(covered_s(-2.0) < 1e-6, "nobody has passed the line");
+}
+
+#[test]
 fn in_steady_state_the_flow_counted_is_density_times_speed() {
     for (inflow, seed) in [(500.0, 1), (1100.0, 2)] {
         let mut scene = support::tiny(&["warmup_s=120.0"]);

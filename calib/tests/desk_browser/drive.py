@@ -434,6 +434,21 @@ def the_view_shows_and_changes_nothing(view, shot):
     rows = view.page.locator("#counts tr").all_inner_texts()[1:]
     assert len(rows) == 3 and rows[0].startswith("●"), rows
     assert "stands where the lanes were drawn" in view.text("#health") or "not yet" in view.text("#health")
+    # The middle of a run of a lane's pixels, where the page has it on the screen.
+    view.page.evaluate("""async () => {
+      const { runs } = await (await fetch("api/lanes")).json();
+      const [, v, from, to] = runs[runs.length >> 1];
+      const canvas = document.getElementById("canvas"), box = canvas.getBoundingClientRect();
+      const [w, h] = [box.width, box.height], image = new Image();
+      image.src = "api/picture.jpg";
+      await image.decode();
+      const scale = Math.min(w / image.naturalWidth, h / image.naturalHeight);
+      const x = (w - scale * image.naturalWidth) / 2 + scale * (from + to + 1) / 2;
+      const y = (h - scale * image.naturalHeight) / 2 + scale * (v + 0.5);
+      const at = { clientX: box.left + x, clientY: box.top + y, bubbles: true };
+      canvas.dispatchEvent(new PointerEvent("pointermove", at));
+    }""")
+    assert re.match(r"lane \d, \d+\.\d m from", view.text("#place")), view.text("#place")
     shot("20-view")
     bare = "/".join(view.address.split("/")[:3]) + "/"
     for address, data, expected in ((view.address + "api/seen", b"{}", 405), (bare + "api/seen", None, 403)):

@@ -13,6 +13,7 @@ use crate::daemon::output::WholeFile;
 use crate::daemon::presets::{Following, TableSettings, WindowSettings};
 use crate::density::LaneReport;
 use crate::track::rate::DEFAULT_TOP_KMH;
+use crate::units::LaneId;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -43,6 +44,10 @@ pub struct Args {
     /// Highest speed that is driven there, km/h: it decides how many pictures flow and speed need
     #[arg(long, value_name = "KMH", default_value_t = DEFAULT_TOP_KMH, value_parser = top_speed)]
     top_speed: f32,
+    /// Section of a lane at which vehicles are counted, m from its upstream end; may be repeated
+    /// [default: the lane's middle]
+    #[arg(long, value_name = "LANE=M", value_parser = section)]
+    section: Vec<(LaneId, f32)>,
     /// Offset from UTC of times in names that state none, as +01:00
     #[arg(long, value_name = "OFFSET", value_parser = utc_offset, default_value = "Z", allow_hyphen_values = true)]
     utc_offset: i32,
@@ -86,6 +91,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         (args.utc_offset, args.dates),
         args.top_speed,
     )?;
+    line.set_sections(args.section.iter().copied())?;
     if let Following::TooSeldom { .. } | Following::TooShort { .. } = line.following() {
         // A recording of snapshots is not meant for more, one of a stream may be.
         let is_stream = recorded.interval() <= Duration::from_secs(2);
@@ -162,6 +168,12 @@ impl<'a> Overlays<'a> {
 fn top_speed(text: &str) -> Result<f32, String> {
     let speed = text.parse().ok().filter(|kmh| (10.0..=300.0).contains(kmh));
     speed.ok_or_else(|| "give 10 to 300".to_owned())
+}
+
+/// Reads a lane and a place on it, m.
+fn section(text: &str) -> Result<(LaneId, f32), String> {
+    let read = |(lane, m): (&str, &str)| Some((LaneId::new(lane.parse().ok()?)?, m.parse().ok()?));
+    text.split_once('=').and_then(read).ok_or_else(|| "give lane and metres, as 3=40".to_owned())
 }
 
 /// Reads an offset from UTC, s.

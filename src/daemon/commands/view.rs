@@ -12,7 +12,7 @@ use crate::daemon::clock;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::station::Station;
-use crate::daemon::view::{INDEX, Seen, Totals, find, outlines};
+use crate::daemon::view::{INDEX, Outlines, Seen, Totals, find};
 use crate::health::Event;
 use serde::Serialize;
 use std::path::Path;
@@ -34,7 +34,7 @@ struct Shown {
     number: u64,
     jpeg: Vec<u8>,
     /// Pixels of the lanes in it.
-    lanes: Vec<[u16; 4]>,
+    lanes: Outlines,
     /// Where the lanes were drawn for.
     lanes_of: Option<([i32; 2], (usize, usize))>,
     time: String,
@@ -170,7 +170,7 @@ fn show(station: &Station, problem: Option<String>, took: Duration, shown: &Mute
     let encoded = jpeg(&frame.picture, QUALITY);
     let shift = line.preset().shift();
     let place = ([shift.u.round() as i32, shift.v.round() as i32], size);
-    let lanes = (lock(shown).lanes_of != Some(place)).then(|| outlines(line.preset(), size, 2));
+    let lanes = (lock(shown).lanes_of != Some(place)).then(|| Outlines::of(line.preset(), size, 2));
     let mut shown = lock(shown);
     match encoded {
         Ok(bytes) => shown.jpeg = bytes,

@@ -8,7 +8,7 @@ mod canvas;
 
 use super::frame::{Detection, Frame};
 use super::presets::Preset;
-use crate::lane::Lane;
+use crate::lane::{Lane, Place};
 use crate::units::{Direction, ImagePoint, ImageSize, LaneId};
 use canvas::{BLACK, Canvas, Colour, GREY, LARGE, SMALL, WHITE};
 use std::io::Cursor;
@@ -90,14 +90,14 @@ impl Drawing<'_> {
         PALETTE[index.unwrap_or(0) % PALETTE.len()]
     }
 
-    /// Tints the lanes, draws their edges, arrows and numbers.
+    /// Tints the lanes, draws their edges, sections, arrows and numbers.
     fn lanes(&self, canvas: &mut Canvas) {
         let (width, height) = canvas.size();
         let lanes = &self.preset.table().lanes;
         let mut sums = vec![[(0.0_f32, 0.0_f32, 0.0_f32); 2]; lanes.len()];
-        let mut above: Vec<Option<LaneId>> = vec![None; width];
+        let mut above: Vec<Option<Place>> = vec![None; width];
         for y in 0..height {
-            let mut left = None;
+            let mut left: Option<Place> = None;
             for (x, above) in above.iter_mut().enumerate() {
                 let at = |px: usize| (px as f32 + 0.5) / self.scale;
                 let place = self.preset.place_at(ImagePoint { u: at(x), v: at(y) }, self.size);
@@ -113,14 +113,20 @@ impl Drawing<'_> {
                         }
                     }
                 }
-                for neighbour in [left, *above] {
+                for beside in [left, *above] {
+                    let neighbour = beside.map(|place| place.lane);
                     if neighbour != lane
                         && let Some(edge) = lane.or(neighbour)
                     {
                         canvas.tint(x, y, self.colour(edge), 255);
                     }
+                    if let (Some(place), Some(beside)) = (place, beside)
+                        && self.preset.is_section_between([place, beside])
+                    {
+                        canvas.tint(x, y, WHITE, 255);
+                    }
                 }
-                (left, *above) = (lane, lane);
+                (left, *above) = (place, place);
             }
         }
         for (lane, [tail, head]) in lanes.iter().zip(sums) {

@@ -5,7 +5,7 @@
 
 mod seen;
 
-pub use seen::{Seen, Totals, outlines};
+pub use seen::{Outlines, Seen, Totals};
 
 use verge_desk::page::{File, SCRIPT};
 

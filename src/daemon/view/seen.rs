@@ -5,6 +5,7 @@
 
 use crate::daemon::line::Line;
 use crate::daemon::presets::Preset;
+use crate::lane::Place;
 use crate::picture::Light;
 use crate::units::{Direction, ImagePoint, ImageSize};
 use serde::Serialize;
@@ -121,22 +122,52 @@ impl Seen {
     }
 }
 
-/// Runs of pixels that lie in a lane, as the table has it: lane, row, first and last column; every
-/// `step`-th row.
-pub fn outlines(preset: &Preset, (width, height): (usize, usize), step: usize) -> Vec<[u16; 4]> {
-    let side = |px: usize| u16::try_from(px).unwrap_or(u16::MAX);
-    let size = ImageSize { width: side(width), height: side(height) };
-    let mut runs: Vec<[u16; 4]> = Vec::new();
-    for v in (0..size.height).step_by(step.max(1)) {
-        for u in 0..size.width {
-            let at = ImagePoint { u: f32::from(u) + 0.5, v: f32::from(v) + 0.5 };
-            let Some(place) = preset.place_at(at, size) else { continue };
-            let lane = u16::from(place.lane.get());
-            match runs.last_mut() {
-                Some(last) if last[0] == lane && last[1] == v && last[3] + 1 == u => last[3] = u,
-                _ => runs.push([lane, v, u, u]),
+/// Where the lanes of a table lie in a picture.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Outlines {
+    /// Pixels of a row that lie in a lane: lane, row, first and last column, and the distances of these
+    /// two from the lane's upstream end, dm.
+    runs: Vec<[u16; 6]>,
+    /// Pixels at the sections where vehicles are counted: lane, column, row.
+    sections: Vec<[u16; 3]>,
+}
+
+impl Outlines {
+    /// As the table has them; runs of every `step`-th row.
+    pub fn of(preset: &Preset, (width, height): (usize, usize), step: u16) -> Self {
+        let side = |px: usize| u16::try_from(px).unwrap_or(u16::MAX);
+        let size = ImageSize { width: side(width), height: side(height) };
+        let mut all = Self::default();
+        let mut above: Vec<Option<Place>> = vec![None; width];
+        for v in 0..size.height {
+            let mut left = None;
+            for (u, above) in (0..size.width).zip(&mut above) {
+                let at = ImagePoint { u: f32::from(u) + 0.5, v: f32::from(v) + 0.5 };
+                let place = preset.place_at(at, size);
+                if let Some(place) = place {
+                    if v % step.max(1) == 0 {
+                        all.add(place, u, v);
+                    }
+                    let besides = [left, *above].into_iter().flatten();
+                    if besides.into_iter().any(|beside| preset.is_section_between([place, beside]))
+                    {
+                        all.sections.push([place.lane.get().into(), u, v]);
+                    }
+                }
+                (left, *above) = (place, place);
             }
         }
+        all
     }
-    runs
+
+    /// The next pixel of a row.
+    fn add(&mut self, place: Place, u: u16, v: u16) {
+        let (lane, s_dm) = (u16::from(place.lane.get()), (place.s_m * 10.0) as u16);
+        match self.runs.last_mut() {
+            Some(last) if last[..2] == [lane, v] && last[3] + 1 == u => {
+                (last[3], last[5]) = (u, s_dm);
+            }
+            _ => self.runs.push([lane, v, u, u, s_dm, s_dm]),
+        }
+    }
 }

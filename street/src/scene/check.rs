@@ -143,6 +143,7 @@ impl Scene {
             c.within(&key("width_m"), lane.width_m, 2.0, 8.0)?;
             c.within(&key("inflow_veh_h"), lane.inflow_veh_h, 0.0, 3000.0)?;
             c.within(&key("speed_km_h"), lane.speed_km_h, 5.0, 160.0)?;
+            c.within(&key("section_m"), lane.section_m.unwrap_or(0.0), 0.0, road_m)?;
             if let Some(signal) = lane.signal {
                 c.within(&key("signal.at_m"), signal.at_m, 0.0, road_m)?;
                 c.within(&key("signal.green_s"), signal.green_s, 1.0, 3600.0)?;

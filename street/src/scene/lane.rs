@@ -20,6 +20,9 @@ pub struct LaneSpec {
     pub inflow_veh_h: f64,
     /// Desired speed of the average driver, km/h.
     pub speed_km_h: f64,
+    /// Where passages and time occupancy are taken, from the upstream end of the measured stretch, m;
+    /// absent is its middle.
+    pub section_m: Option<f64>,
     /// A signalised stop line.
     pub signal: Option<Signal>,
     /// A stretch that slows traffic.

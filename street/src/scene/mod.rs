@@ -363,7 +363,16 @@ fn apply(table: &mut toml::Table, change: &str) -> std::result::Result<(), Strin
             at.insert(key.to_owned(), value);
             return Ok(());
         }
-        let inner = at.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        let mut inner = at.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        if let toml::Value::Array(list) = inner {
+            let number = keys.next().unwrap_or_default();
+            let entry = number.parse::<usize>().ok().and_then(|n| list.get_mut(n.checked_sub(1)?));
+            inner = entry.ok_or_else(|| {
+                format!(
+                    "--set {change}: {key} is a list: write {key}.1.key=value for its first entry"
+                )
+            })?;
+        }
         at = inner.as_table_mut().ok_or_else(|| format!("--set {change}: {key} is not a table"))?;
     }
     Err(format!("--set {change}: write table.key=value"))

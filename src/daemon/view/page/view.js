@@ -44,20 +44,24 @@ const AIMS = {
 
 /** @type {Answer | null} */
 let now = null;
-/** Lane, row, first and last column. @type {[number, number, number, number][]} */
-let lanes = [];
+/**
+ * Runs: lane, row, first and last column, and the distances of these two from the lane's upstream end,
+ * dm. Sections, where vehicles are counted: lane, column, row.
+ * @type {{runs: [number, number, number, number, number, number][], sections: [number, number, number][]}}
+ */
+let lanes = { runs: [], sections: [] };
 const shown = { lanes: true, boxes: true };
 let shift = "";
 let failure = "";
 
 const nothing = () => {};
-const stage = new Stage(/** @type {HTMLCanvasElement} */ (byId("canvas")), { down: nothing, move: nothing, up: nothing, finish: nothing });
+const stage = new Stage(/** @type {HTMLCanvasElement} */ (byId("canvas")), { down: nothing, move: pointed, up: nothing, finish: nothing });
 stage.painters.push(paint);
 
 /** @param {CanvasRenderingContext2D} c @param {Placed} placed */
 function paint(c, placed) {
   if (shown.lanes) {
-    for (const [lane, v, from, to] of lanes) {
+    for (const [lane, v, from, to] of lanes.runs) {
       const [x0, y0] = toScreen(placed, [from, v]);
       const [x1, y1] = toScreen(placed, [to + 1, v + ROWS]);
       const colour = laneColour(lane);
@@ -67,8 +71,30 @@ function paint(c, placed) {
       c.fillRect(x0, y0, 1.5, y1 - y0);
       c.fillRect(x1 - 1.5, y0, 1.5, y1 - y0);
     }
+    c.fillStyle = "#ffffff";
+    for (const [, u, v] of lanes.sections) {
+      const [x, y] = toScreen(placed, [u, v]);
+      c.fillRect(x, y, Math.max(placed.scale, 2), Math.max(placed.scale, 2));
+    }
   }
   if (shown.boxes && now?.seen && !now.problem) for (const box of now.seen.boxes) vehicleBox(c, placed, box, [0, 0]);
+}
+
+/** Which place of a lane the pointer is at, in words. */
+let place = "";
+const POINT = "point at a lane to see how far it is from its upstream end";
+
+/** @param {[number, number]} at */
+function pointed([u, v]) {
+  const run = lanes.runs.find(([, row, from, to]) => v >= row && v < row + ROWS && u >= from && u < to + 1);
+  place = "";
+  if (run) {
+    const [lane, , from, to, fromDm, toDm] = run;
+    const share = to > from ? Math.min(Math.max((u - 0.5 - from) / (to - from), 0), 1) : 0;
+    place = `lane ${lane}, ${((fromDm + share * (toDm - fromDm)) / 10).toFixed(1)} m from its upstream end`;
+  }
+  const shown = document.getElementById("place");
+  if (shown) shown.textContent = place || POINT;
 }
 
 async function poll() {
@@ -141,6 +167,8 @@ function panel(answer, problem) {
           el("td", { text: ((1000 * lane.mean) / lane.length_m).toFixed(1) }));
       })),
     seen && el("p", { class: "dim", text: `${seen.boxes.filter((b) => b.lane === null).length} more vehicles beside the lanes, dashed. Means are of ${answer.measured === 1 ? "one picture" : `${answer.measured} pictures`} since this view was opened; the published windows are the sensor's own.` }),
+    el("p", { class: "dim", id: "place", text: place || POINT }),
+    lanes.sections.length > 0 && el("p", { class: "dim", text: "White lines: the sections where vehicles are counted (traffic.section_m)." }),
     el("h3", { text: "Health" }),
     el("table", { id: "health" },
       row("picture", answer.time || "none yet"),

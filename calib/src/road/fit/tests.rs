@@ -81,11 +81,14 @@ fn vehicle(view: &View, shared: &Shared, frame: usize, rng: &mut ChaCha8Rng) -> 
 
 #[test]
 fn the_interval_holds_over_fleets_that_no_camera_sees() {
-    // What `docs/measured/calibration.md` states.
-    let cameras = 24;
+    // `docs/measured/calibration.md` states it for 160 of them.
+    let cameras = std::env::var("FLEETS").map_or(24, |n| n.parse().expect("a number"));
     let (mut held, mut squares) = (0, 0.0);
-    for seed in 0..cameras {
-        let (camera, cues) = drawn(seed, 90);
+    // Without those whose picture the road leaves at its top.
+    let seen = (0..)
+        .map(|seed| (seed, drawn(seed, 90)))
+        .filter(|(_, (_, cues))| cues.points().all(|p| (0.0..f64::from(SIZE[1])).contains(&p.y)));
+    for (seed, (camera, cues)) in seen.take(cameras) {
         let found = fit(&cues, SIZE).expect("a camera");
         let view = View::new(&camera, SIZE);
         let ends = [20.0, 55.0].map(|y| view.project(Vector3::new(0.0, y, 0.0)));

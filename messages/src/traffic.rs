@@ -43,7 +43,8 @@ pub struct Traffic {
     /// Interval that holds the space-mean speed with a probability of 90 %, km/h
     #[cfg_attr(feature = "schema", schemars(inner(range(min = 0, max = MOST_CI_KMH))))]
     pub speed_ci90: Option<[f32; 2]>,
-    /// Share of the time for which a vehicle covered the section in the lane's middle
+    /// Share of the time for which a vehicle covered the section: the lane's middle, or where
+    /// traffic.section_m puts it
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1)))]
     pub time_occupancy: Option<f32>,
     /// Interval that holds the time occupancy with a probability of 90 %

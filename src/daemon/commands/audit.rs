@@ -28,7 +28,7 @@ pub struct Args {
     /// Configuration of the site, in place of --table and the model's options
     #[arg(long, value_name = "FILE", required_unless_present = "table", conflicts_with = "table")]
     config: Option<PathBuf>,
-    /// Lane table
+    /// Lane table, where there is no --config
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
     #[command(flatten)]

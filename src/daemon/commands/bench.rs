@@ -29,7 +29,7 @@ const LOOK_UPS: u32 = 1_000_000;
 /// Its arguments.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder of JPEG or PNG frames [default: the demo's recording]
+    /// Folder of JPEG or PNG frames, with --table [default: the demo's recording]
     #[arg(long, value_name = "DIR", requires = "table")]
     frames: Option<PathBuf>,
     /// Lane table of these frames

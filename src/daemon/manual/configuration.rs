@@ -112,7 +112,7 @@ mod tests {
     /// Pages of the handbook as links from `docs/reference`.
     fn linked(about: &str) -> String {
         let words = about.split(' ').map(|word| {
-            let page = word.trim_matches(['(', ')', '.', ',']);
+            let page = word.trim_matches(['(', ')', '.', ',', ':']);
             match page.strip_prefix("docs/") {
                 Some(path) => word.replace(page, &format!("[{path}](../{path})")),
                 None => word.to_owned(),

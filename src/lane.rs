@@ -63,6 +63,10 @@ pub const MAX_NAME: usize = 48;
 pub const MAX_DESCRIPTION: usize = 320;
 /// Most cells of a table: 1920x1080. A table is held in memory (10 MB at this size).
 pub const MAX_CELLS: usize = 1920 * 1080;
+/// Width of a lane where nothing states it, m.
+pub const LANE_WIDTH_M: f32 = 3.5;
+/// Fewer pixels tell no angle.
+const FEW_PIXELS: f32 = 30.0;
 /// Longest lane that a cell's `s_cm` can address, m.
 pub const MAX_LANE_LENGTH_M: f32 = 655.35;
 
@@ -248,6 +252,19 @@ impl<B: AsRef<[u8]>> LaneTable<B> {
             return None;
         }
         self.cell(point.v as usize * usize::from(size.width) + point.u as usize)
+    }
+
+    /// By how much the road that a pixel shows is longer along a lane than across it, between two
+    /// places of the lane, m: 1 from right above, 4 where it is seen at 14 degrees. `None` where few
+    /// pixels show it. Takes lanes to be [`LANE_WIDTH_M`] wide; reads every cell.
+    pub fn foreshortening(&self, id: LaneId, [from_m, to_m]: [f32; 2]) -> Option<f32> {
+        let cells = (0..self.description.cell_count()).filter_map(|index| self.cell(index));
+        let on_it = cells.filter(|at| at.lane == id && (from_m..to_m).contains(&at.s_m));
+        let (pixels, area) =
+            on_it.fold((0.0_f32, 0.0_f32), |(n, sum), at| (n + 1.0, sum + at.span_m));
+        // A pixel's length of road, and the lane's width in pixels: area in px m by its length.
+        let (span_m, width_px) = (area / pixels, area / (to_m - from_m));
+        (pixels >= FEW_PIXELS).then_some(span_m * width_px / LANE_WIDTH_M)
     }
 
     /// The cell of that index in row order.

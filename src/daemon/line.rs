@@ -99,7 +99,7 @@ impl Line {
     }
 
     /// From now on the vehicles of these lanes are counted so far from their upstream ends, m, where
-    /// vehicles are followed at all. To be called after [`Self::follow`].
+    /// they are followed. To be called after [`Self::follow`].
     ///
     /// # Errors
     /// [`ConfigError::Camera`] names the lane that no table has, or the place that is not on it.
@@ -107,18 +107,9 @@ impl Line {
         &mut self,
         sections: impl IntoIterator<Item = (LaneId, f32)>,
     ) -> Result<(), ConfigError> {
-        if !matches!(self.following, Following::On { .. }) {
-            return Ok(());
-        }
         for (lane, section_m) in sections {
-            if !self.presets.set_section(lane, section_m) {
-                let reason = format!(
-                    "lane {} has no place {section_m} m from its upstream end: give one inside a \
-                     lane of the table",
-                    lane.get()
-                );
-                return Err(ConfigError::Camera { key: "traffic.section_m", reason });
-            }
+            let wrong = |reason| ConfigError::Camera { key: "traffic.section_m", reason };
+            self.presets.set_section(lane, section_m).map_err(wrong)?;
         }
         Ok(())
     }

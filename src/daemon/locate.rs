@@ -9,7 +9,7 @@ use super::plain;
 use crate::hidden::Seen;
 use crate::lane::{Description, LaneTable, LaneTableError, MAX_CELLS, Place};
 use crate::scene::{MAX_REFERENCE, Reference};
-use crate::units::{ImagePoint, ImageSize, MAX_LANES, VehicleClass};
+use crate::units::{ImagePoint, ImageSize, LaneId, MAX_LANES, VehicleClass};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
@@ -143,6 +143,11 @@ impl Locator {
     /// SHA-256 of the file.
     pub fn sha256(&self) -> [u8; 32] {
         self.sha256
+    }
+
+    /// By how much the road of a pixel is longer along a lane than across it, between two places.
+    pub fn foreshortening(&self, lane: LaneId, places_m: [f32; 2]) -> Option<f32> {
+        self.table.foreshortening(lane, places_m)
     }
 
     /// The reference of the static scene, where the table has one.

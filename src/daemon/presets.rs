@@ -109,6 +109,9 @@ impl std::fmt::Display for Following {
     }
 }
 
+/// Road before and behind a section that tells how steeply it is seen, m.
+const ABOUT_SECTION_M: f32 = 8.0;
+
 /// One lane table and the count of its latest picture.
 #[derive(Debug)]
 pub struct Preset {
@@ -145,6 +148,16 @@ impl Preset {
     /// Where a point of the table's picture lies on the road.
     pub fn place(&self, point: ImagePoint) -> Option<Place> {
         self.locator.place(point)
+    }
+
+    /// Counts the vehicles of a lane at that place, where they are followed.
+    fn count_at(&mut self, lane: LaneId, section_m: f32) {
+        let about_m = [section_m - ABOUT_SECTION_M, section_m + ABOUT_SECTION_M];
+        let foreshortening = self.locator.foreshortening(lane, about_m);
+        if let Some(tracker) = &mut self.tracker {
+            // The caller knows that the lane has the place.
+            let _ = tracker.set_section(lane, section_m, foreshortening);
+        }
     }
 
     /// Whether the section of a lane, where its vehicles are followed, lies between these two places.
@@ -246,6 +259,9 @@ impl Presets {
         }
         for (preset, tracker) in self.presets.iter_mut().zip(trackers) {
             preset.tracker = Some(tracker);
+            for lane in preset.table().lanes.clone() {
+                preset.count_at(lane.id, lane.length_m / 2.0);
+            }
         }
         Following::On { interval, longest }
     }
@@ -260,16 +276,26 @@ impl Presets {
     }
 
     /// From now on the vehicles of that lane are counted so far from its upstream end, m, in every
-    /// table that has the lane; false where none has it or the place is not on it.
-    #[must_use]
-    pub fn set_section(&mut self, lane: LaneId, section_m: f32) -> bool {
-        let has_lane = |preset: &&mut Preset| preset.table().lanes.iter().any(|l| l.id == lane);
-        let trackers = self.presets.iter_mut().filter(has_lane);
-        let mut set = trackers
-            .filter_map(|preset| preset.tracker.as_mut())
-            .map(|tracker| tracker.set_section(lane, section_m))
-            .peekable();
-        set.peek().is_some() && set.all(|is_set| is_set)
+    /// table that has the lane, where they are followed.
+    ///
+    /// # Errors
+    /// Says that no table has it, or how long it is where the place is not on it.
+    pub fn set_section(&mut self, id: LaneId, section_m: f32) -> Result<(), String> {
+        let mut is_known = false;
+        for preset in &mut self.presets {
+            let lane = preset.table().lanes.iter().find(|lane| lane.id == id).cloned();
+            let Some(Lane { length_m, .. }) = lane else { continue };
+            if !(section_m > 0.0 && section_m < length_m) {
+                return Err(format!(
+                    "lane {} has {length_m:.0} m from its upstream end, and no place {section_m} m from it",
+                    id.get()
+                ));
+            }
+            is_known = true;
+            preset.count_at(id, section_m);
+        }
+        let none = || format!("no lane table has a lane {}", id.get());
+        is_known.then_some(()).ok_or_else(none)
     }
 
     /// The longest time between two pictures with which vehicles of up to `top_kmh` are followed on

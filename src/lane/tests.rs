@@ -312,3 +312,30 @@ fn damage_in_the_reference_is_named() {
     assert!(matches!(damaged(scene_at + 11, 9), LaneTableError::Scene(ReferenceError::Value(_))));
     assert!(matches!(damaged(scene_at - 1, 9), LaneTableError::TooShort { .. }));
 }
+
+#[test]
+fn how_steeply_a_lane_is_seen_follows_from_its_pixels() {
+    // A camera 10 m up with 400 px, whose horizon is the picture's upper edge, over a straight lane.
+    let (height_m, focal_px, far_m) = (10.0, 400.0, 60.0);
+    let image_size = ImageSize { width: 320, height: 200 };
+    let one = Lane { id: lane(1), direction: Direction::Toward, length_m: 40.0 };
+    let lanes = heapless::Vec::from_slice(&[one]).expect("one of eight");
+    let description = Description { image_size, lanes, ..description() };
+    let ahead_m = |v: u16| focal_px * height_m / (f32::from(v) + 0.5);
+    let place = |u: u16, v: u16| {
+        let (s_m, aside_m) = (far_m - ahead_m(v), (f32::from(u) - 160.0) * ahead_m(v) / focal_px);
+        let is_on = (0.0..=40.0).contains(&s_m) && aside_m.abs() < LANE_WIDTH_M / 2.0;
+        let span_m = ahead_m(v) * ahead_m(v) / (focal_px * height_m);
+        is_on.then_some(Place { lane: lane(1), s_m, span_m })
+    };
+    let mut bytes = std::vec![0; encoded_len(&description, None)];
+    encode(&description, None, place, &mut bytes).expect("the test's table is right");
+    let table = LaneTable::parse(bytes).expect("just written");
+    for at_m in [10.0, 20.0, 30.0] {
+        let found = table.foreshortening(lane(1), [at_m - 8.0, at_m + 8.0]).expect("many pixels");
+        let true_ratio = (far_m - at_m) / height_m;
+        assert!((found / true_ratio - 1.0).abs() < 0.12, "{at_m} m: {found}, {true_ratio}");
+    }
+    assert_eq!(table.foreshortening(lane(2), [0.0, 40.0]), None);
+    assert_eq!(table.foreshortening(lane(1), [50.0, 60.0]), None);
+}

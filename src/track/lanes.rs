@@ -32,12 +32,17 @@ impl Tracker {
         Some(Self { lanes, sightings: Default::default(), longest, latest: None })
     }
 
-    /// From now on vehicles of that lane are counted so far from its upstream end, m; false where
-    /// there is no such lane or place.
+    /// From now on vehicles of that lane are counted so far from its upstream end, m, as
+    /// [`LaneTracker::set_section`] does; false where there is no such lane or place.
     #[must_use]
-    pub fn set_section(&mut self, lane: LaneId, section_m: f32) -> bool {
+    pub fn set_section(
+        &mut self,
+        lane: LaneId,
+        section_m: f32,
+        foreshortening: Option<f32>,
+    ) -> bool {
         let known = self.lanes.iter_mut().find(|(id, _)| *id == lane);
-        known.is_some_and(|(_, tracker)| tracker.set_section(section_m))
+        known.is_some_and(|(_, tracker)| tracker.set_section(section_m, foreshortening))
     }
 
     /// Where vehicles of that lane are counted, from its upstream end, m.

@@ -17,6 +17,7 @@ mod hidden;
 mod lanes;
 mod moves;
 pub mod rate;
+mod section;
 mod vehicle;
 
 pub use lanes::{LaneMoves, Tracker};
@@ -27,6 +28,7 @@ use crate::lane::Lane;
 use crate::units::{Direction, VehicleClass};
 use association::{align, match_cost};
 use filter::place_variance;
+use section::Section;
 use vehicle::{Covered, STANDING_M_S, Track};
 
 /// Most vehicles followed in one lane: 400 m at jam density.
@@ -51,9 +53,6 @@ const QUEUES_M_S: [f32; 2] = [5.0 / 3.6, 10.0 / 3.6];
 const QUEUE_GAP_M: f32 = 20.0;
 /// Prior speed of the first vehicle on a lane, and its standard deviation, m/s.
 const ANY_SPEED_M_S: [f32; 2] = [8.0, 10.0];
-/// From the point where a vehicle meets the road in the picture, its nearer wheels and bumper, to
-/// the end of it, m: most of a car's overhang (docs/explanation/traffic.md).
-const OVERHANG_M: f32 = 0.6;
 /// Weight of a vehicle in the lane's usual speed.
 const USUAL: f32 = 0.1;
 
@@ -75,7 +74,7 @@ pub type Sightings = heapless::Vec<Sighting, MAX_SIGHTINGS>;
 #[derive(Clone, Debug)]
 pub struct LaneTracker {
     length_m: f32,
-    section_m: f32,
+    section: Section,
     direction: Direction,
     /// By rising place.
     tracks: heapless::Vec<Track, MAX_TRACKS>,
@@ -92,7 +91,7 @@ impl LaneTracker {
     pub const fn new(lane: &Lane) -> Self {
         Self {
             length_m: lane.length_m,
-            section_m: lane.length_m / 2.0,
+            section: Section::of(lane),
             direction: lane.direction,
             tracks: heapless::Vec::new(),
             usual_m_s: None,
@@ -101,20 +100,17 @@ impl LaneTracker {
         }
     }
 
-    /// From now on vehicles are counted so far from the upstream end, m; false where that is not on
-    /// the lane.
+    /// From now on vehicles are counted so far from the upstream end, m, where a pixel's road is
+    /// `foreshortening` times as long as wide ([`crate::lane::LaneTable::foreshortening`]); false where
+    /// that is not on the lane.
     #[must_use]
-    pub fn set_section(&mut self, section_m: f32) -> bool {
-        let is_inside = section_m > 0.0 && section_m < self.length_m;
-        if is_inside {
-            self.section_m = section_m;
-        }
-        is_inside
+    pub fn set_section(&mut self, section_m: f32, foreshortening: Option<f32>) -> bool {
+        self.section.set(section_m, foreshortening)
     }
 
     /// Where vehicles are counted, from the upstream end, m.
     pub const fn section_m(&self) -> f32 {
-        self.section_m
+        self.section.at_m
     }
 
     /// Forgets the vehicles: what comes next is not connected with what was.
@@ -183,26 +179,27 @@ impl LaneTracker {
 
     /// A track that was seen, or not.
     fn step(&mut self, index: usize, sighting: Option<&Sighting>, dt: f32, moves: &mut Moves) {
-        let (length_m, section_m) = (self.length_m, self.section_m);
+        let (length_m, section) = (self.length_m, self.section);
         let Some(track) = self.tracks.get_mut(index) else { return };
         let (from_m, took_s) = (track.at_m, track.unseen_s);
-        let length = track.class().nominal_length_m();
+        let class = track.class();
         // Where it is now, and how long ago it was there: now, or when it left the lane.
         let (to_m, ago_s) = if let Some(sighting) = sighting {
             track.motion.update(sighting.s_m, place_variance(sighting.span_m));
             track.note_class(sighting.class);
             let to_m = track.motion.s_m.clamp(0.0, length_m);
             let way_m = [track.was_m, to_m];
-            track.unseen_occupied_s += occupied(way_m, dt, section_m, self.direction, length);
+            track.unseen_occupied_s += section.covered(way_m, dt, class);
             (to_m, 0.0)
         } else {
             let way_m = [track.was_m, track.motion.s_m];
-            track.unseen_occupied_s += occupied(way_m, dt, section_m, self.direction, length);
+            track.unseen_occupied_s += section.covered(way_m, dt, class);
             track.missed = track.missed.saturating_add(1);
             if track.motion.s_m < length_m || !track.counts() {
                 return;
             }
             let beyond_s = (track.motion.s_m - length_m) / track.motion.v_m_s.max(STANDING_M_S);
+            moves.occupied_s += section.covered_after(track.motion.v_m_s, class);
             (length_m, beyond_s.min(took_s))
         };
         let time_s = took_s - ago_s;
@@ -210,7 +207,7 @@ impl LaneTracker {
             // It stood for a part of that time: it did not move evenly.
             track.unseen_occupied_s.min(time_s)
         } else {
-            occupied([from_m, to_m], time_s, section_m, self.direction, length)
+            section.covered([from_m, to_m], time_s, class)
         };
         let covered = Covered { distance_m: to_m - from_m, time_s, occupied_s };
         if track.missed > 1 {
@@ -232,11 +229,12 @@ impl LaneTracker {
                 return;
             }
             track.is_confirmed = true;
-            Self::confirm(track, section_m, self.direction, moves);
+            Self::confirm(track, section, moves);
         }
         let speed = track.motion.v_m_s;
         track.is_queued = speed < QUEUES_M_S[usize::from(track.is_queued)];
         moves.place_m2 += if sighting.is_some() { 0.0 } else { track.motion.variance() };
+        let section_m = section.at_m;
         let is_from_before = track.from_m <= (section_m - BEFORE_SECTION_M).max(0.0);
         if track.has_passed || to_m < section_m {
             return;
@@ -255,7 +253,7 @@ impl LaneTracker {
 
     /// Counts what a track has covered before it counted, from the lane's beginning where it came
     /// in there.
-    fn confirm(track: &mut Track, section_m: f32, direction: Direction, moves: &mut Moves) {
+    fn confirm(track: &mut Track, section: Section, moves: &mut Moves) {
         let Covered { distance_m, time_s, occupied_s } = track.pending;
         moves.add(distance_m, time_s, occupied_s);
         let speed = track.motion.v_m_s;
@@ -263,9 +261,9 @@ impl LaneTracker {
         let before_s = track.motion.s_m / speed.max(f32::EPSILON) - track.age_s;
         if speed > STANDING_M_S && before_s <= BRIDGE_S && !track.was_there {
             let (born_m, before_s) = (track.from_m, before_s.max(0.0));
-            let length_m = track.class().nominal_length_m();
-            let occupied_s = occupied([0.0, born_m], before_s, section_m, direction, length_m);
-            moves.add(born_m, before_s, occupied_s);
+            let class = track.class();
+            let occupied_s = section.covered([0.0, born_m], before_s, class);
+            moves.add(born_m, before_s, occupied_s + section.covered_before(speed, class));
             track.from_m = 0.0;
         }
         moves.place_m2 += track.motion.variance();
@@ -326,30 +324,6 @@ impl LaneTracker {
         }
         longest.min(self.length_m)
     }
-}
-
-/// Time for which a vehicle of that length covers the section on its way, s. Towards the camera the
-/// end that is seen is its front, away from it its rear.
-fn occupied(
-    [from_m, to_m]: [f32; 2],
-    time_s: f32,
-    section_m: f32,
-    direction: Direction,
-    length_m: f32,
-) -> f32 {
-    // Where that end is while the section is covered.
-    let (low, high) = match direction {
-        Direction::Away => (OVERHANG_M - length_m, OVERHANG_M),
-        Direction::Toward => (-OVERHANG_M, length_m - OVERHANG_M),
-        Direction::Unknown => (-length_m / 2.0, length_m / 2.0),
-    };
-    let (low, high) = (section_m + low, section_m + high);
-    let way_m = (to_m - from_m).abs();
-    if way_m < 0.01 {
-        return if (low..high).contains(&to_m) { time_s } else { 0.0 };
-    }
-    let inside = to_m.max(from_m).min(high) - to_m.min(from_m).max(low);
-    time_s * inside.max(0.0) / way_m
 }
 
 #[cfg(test)]

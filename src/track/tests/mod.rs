@@ -5,6 +5,7 @@ mod brno;
 #[cfg(feature = "daemon")]
 mod clips;
 
+use super::section::OVERHANG_M;
 use super::*;
 use crate::units::LaneId;
 use std::vec::Vec;
@@ -319,9 +320,9 @@ fn what_lasts_for_less_than_half_a_second_is_no_vehicle() {
 #[test]
 fn the_section_is_where_it_was_set() {
     let mut tracker = LaneTracker::new(&lane());
-    assert!(!tracker.set_section(0.0) && !tracker.set_section(LANE_M));
-    assert!(!tracker.set_section(f32::NAN));
-    assert!(tracker.set_section(70.0));
+    assert!(!tracker.set_section(0.0, None) && !tracker.set_section(LANE_M, None));
+    assert!(!tracker.set_section(f32::NAN, None));
+    assert!(tracker.set_section(70.0, None));
     let mut passed = [0; 2];
     for step in 0..40_u8 {
         let s_m = f32::from(step) * 2.0;

@@ -56,6 +56,8 @@ pub enum AggregateError {
     /// A window outside [`MIN_WINDOW_S`] to [`MAX_WINDOW_S`], s, or one that does not
     /// divide a day, so that it cannot be aligned to the clock.
     WindowLength(Duration),
+    /// The same length twice.
+    Twice(Duration),
     /// Frames come less often than windows end.
     Interval {
         /// Time between frames.
@@ -75,6 +77,9 @@ impl core::fmt::Display for AggregateError {
                  divide a day (10, 20, 30, 60, 120, 300, 600, 900)",
                 length.as_secs_f32()
             ),
+            Self::Twice(length) => {
+                write!(f, "windows of {} s twice: leave one out", length.as_secs_f32())
+            }
             Self::Interval { interval, window } => write!(
                 f,
                 "a frame every {} s cannot fill windows of {} s: make the window at least as long",
@@ -86,6 +91,30 @@ impl core::fmt::Display for AggregateError {
 }
 
 impl core::error::Error for AggregateError {}
+
+/// Whether windows of these lengths can be kept and filled by a frame each `interval`.
+///
+/// # Errors
+/// [`AggregateError`] names the first that cannot.
+pub fn check_lengths(lengths: &[Duration], interval: Duration) -> Result<(), AggregateError> {
+    if !(1..=MAX_WINDOWS).contains(&lengths.len()) {
+        return Err(AggregateError::WindowCount(lengths.len()));
+    }
+    for (index, &length) in lengths.iter().enumerate() {
+        let seconds = length.as_secs();
+        let whole = length.subsec_nanos() == 0 && 86_400u64.checked_rem(seconds) == Some(0);
+        if !whole || !(MIN_WINDOW_S..=MAX_WINDOW_S).contains(&seconds) {
+            return Err(AggregateError::WindowLength(length));
+        }
+        if lengths.iter().skip(index + 1).any(|&other| other == length) {
+            return Err(AggregateError::Twice(length));
+        }
+        if interval > length {
+            return Err(AggregateError::Interval { interval, window: length });
+        }
+    }
+    Ok(())
+}
 
 #[derive(Clone, Debug)]
 struct Window {
@@ -164,22 +193,12 @@ impl<const W: usize> Aggregator<W> {
         min_completeness: f32,
         start: Start,
     ) -> Result<Self, AggregateError> {
+        check_lengths(window_lengths, interval)?;
         let mut windows = heapless::Vec::new();
         for &length in window_lengths {
-            let seconds = length.as_secs();
-            let whole = length.subsec_nanos() == 0 && 86_400u64.checked_rem(seconds) == Some(0);
-            if !whole || !(MIN_WINDOW_S..=MAX_WINDOW_S).contains(&seconds) {
-                return Err(AggregateError::WindowLength(length));
-            }
-            if interval > length {
-                return Err(AggregateError::Interval { interval, window: length });
-            }
             windows
                 .push(Window::new(length, interval))
                 .map_err(|_| AggregateError::WindowCount(window_lengths.len()))?;
-        }
-        if windows.is_empty() {
-            return Err(AggregateError::WindowCount(0));
         }
         let (divisions, lanes) = (Division::of_each(lanes, cell_m), lanes.clone());
         let (length_rel_err, errors) = ([None; MAX_LANES], Errors::default());

@@ -205,6 +205,24 @@ fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
     assert_eq!(code, 66, "{said}");
     let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--top-speed", "5"]);
     assert!(code == 64 && said.contains("10 to 300"), "{said}");
+    for score in ["2", "nan", "-1"] {
+        let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--score", score]);
+        assert!(code == 64 && said.contains("give 0 to 1"), "{said}");
+    }
+    std::fs::write(folder.path().join("frames/a.jpg"), jpeg(320, 240, 9)).expect("a frame");
+    for (section, expected) in [("7=40", "no lane table has a lane 7"), ("2=400", "lane 2 has ")] {
+        let (code, said) = fails(&[
+            "--table",
+            K109F_TABLE,
+            "--frames",
+            frames,
+            "--interval",
+            "9",
+            "--section",
+            section,
+        ]);
+        assert!(code == 78 && said.contains(expected), "{said}");
+    }
 }
 
 #[test]

@@ -193,8 +193,8 @@ pub fn open_line(config: &Config) -> Result<Line, Failure> {
     line.keep_within(config.interval())?;
     if config.traffic.enabled {
         line.follow(config.traffic.top_speed_kmh, config.interval());
-        line.set_sections(config.traffic.sections())?;
     }
+    line.set_sections(config.traffic.sections())?;
     Ok(line)
 }
 

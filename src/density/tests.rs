@@ -159,6 +159,7 @@ fn impossible_windows_are_refused() {
     for length in [s(5), s(70), s(1800), Duration::from_millis(10_500), s(0)] {
         assert_eq!(new(&[length], s(1)), Some(AggregateError::WindowLength(length)));
     }
+    assert_eq!(new(&[MINUTE, s(20), MINUTE], s(1)), Some(AggregateError::Twice(MINUTE)));
     let slow = AggregateError::Interval { interval: s(120), window: MINUTE };
     assert_eq!(new(&[MINUTE], s(120)), Some(slow));
     assert_eq!(new(&[MINUTE; 7], s(1)), Some(AggregateError::WindowCount(7)));

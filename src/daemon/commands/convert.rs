@@ -107,6 +107,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         Publisher { road_segment: args.road_segment.clone(), country: args.country.clone() };
     let exporter = Exporter::new(args.to.into(), publisher);
     let (name, mut input) = open(args.input.as_deref())?;
+    if let (Some(input), Some(out)) = (&args.input, &args.out)
+        && input
+            .canonicalize()
+            .ok()
+            .is_some_and(|input| out.canonicalize().is_ok_and(|out| out == input))
+    {
+        let source = io::Error::other("it is the input, which would be lost: give another file");
+        return Err(Failure::Write { path: out.clone(), source });
+    }
     let mut output = Output::open(args.out.as_deref())?;
     exporter.begin(clock::now().into()).map_or(Ok(()), |head| output.line(&head))?;
     let broken = |source| Failure::Input { path: name.clone(), source };

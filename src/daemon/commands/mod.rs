@@ -32,11 +32,16 @@ pub struct ModelArgs {
     #[arg(long, value_name = "FILE", default_value = DEFAULT_MODEL, value_parser = file)]
     model: PathBuf,
     /// Least score that counts, 0 to 1 [default: the sidecar's]
-    #[arg(long, value_name = "SCORE")]
+    #[arg(long, value_name = "SCORE", value_parser = score, allow_hyphen_values = true)]
     score: Option<f32>,
     /// The net's input: auto, as the size of the cars asks for, or columns and rows such as 800x608
     #[arg(long, value_name = "auto|WxH", default_value = "auto")]
     input: NetInput,
+}
+
+/// Reads a score.
+fn score(text: &str) -> Result<f32, &'static str> {
+    text.parse().ok().filter(|score| (0.0..=1.0).contains(score)).ok_or("give 0 to 1")
 }
 
 /// Place of a model or a lane table.

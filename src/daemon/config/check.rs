@@ -6,7 +6,7 @@ use crate::daemon::address::Address;
 use crate::daemon::foreign::{is_plain, shown};
 use crate::daemon::publish::Format;
 use crate::daemon::trust::Trust;
-use crate::density::{MAX_WINDOW_S, MIN_WINDOW_S};
+use crate::density::check_lengths;
 use crate::units::MAX_LANES;
 
 impl Config {
@@ -38,13 +38,8 @@ impl Config {
                 format!("{seconds} s: give 0.01 to {most}"),
             )?;
         }
-        for &length in &self.windows.lengths_s {
-            known(
-                (MIN_WINDOW_S..=MAX_WINDOW_S).contains(&length),
-                "windows.lengths_s",
-                format!("{length} s: give {MIN_WINDOW_S} to {MAX_WINDOW_S}"),
-            )?;
-        }
+        check_lengths(&self.window_lengths(), self.interval())
+            .map_err(|reason| ("windows.lengths_s", reason.to_string()))?;
         known(
             (0.0..=1.0).contains(&self.windows.min_completeness),
             "windows.min_completeness",

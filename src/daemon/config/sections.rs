@@ -170,7 +170,11 @@ pub struct Traffic {
 impl Traffic {
     /// The sections of lanes that can be.
     pub fn sections(&self) -> impl Iterator<Item = (LaneId, f32)> {
-        let lane = |number: &String| number.parse().ok().and_then(LaneId::new);
+        // As numbers are written: 03 and +3 would be lane 3 a second time.
+        let lane = |number: &String| {
+            let lane = number.parse().ok().and_then(LaneId::new);
+            lane.filter(|lane| lane.get().to_string() == *number)
+        };
         self.section_m.iter().filter_map(move |(number, &m)| Some((lane(number)?, m)))
     }
 }

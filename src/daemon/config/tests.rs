@@ -56,6 +56,10 @@ fn wrong_keys_and_values_are_named() {
         ("#timeout_s = 10.0", "timeout_s = 60", "camera.timeout_s"),
         ("site = \"k109f\"", "site = \"a/b\"", "site"),
         ("lengths_s = [300, 900]", "lengths_s = [5]", "windows.lengths_s"),
+        ("lengths_s = [300, 900]", "lengths_s = []", "0 windows asked for"),
+        ("lengths_s = [300, 900]", "lengths_s = [130]", "a window of 130 s: give whole seconds"),
+        ("lengths_s = [300, 900]", "lengths_s = [300, 300]", "windows of 300 s twice"),
+        ("lengths_s = [300, 900]", "lengths_s = [60]", "a frame every 120 s cannot fill"),
         ("#views = \"whole\"", "views = \"near\"", "near"),
         ("#watch = true", "watch = \"yes\"", "watch"),
         ("#presets = []", "presets = \"b.lut\"", "presets"),
@@ -167,7 +171,7 @@ fn sections_are_read_for_lanes_that_can_be() {
     let config = with("{ 1 = 40.0, 3 = 12 }").expect("right");
     let sections: Vec<_> = config.traffic.sections().map(|(lane, m)| (lane.get(), m)).collect();
     assert_eq!(sections, [(1, 40.0), (3, 12.0)]);
-    for wrong in ["{ 9 = 40.0 }", "{ left = 40.0 }"] {
+    for wrong in ["{ 9 = 40.0 }", "{ left = 40.0 }", "{ 1 = 40.0, 01 = 50.0 }"] {
         let error = with(wrong).expect_err(wrong);
         assert!(error.contains("traffic.section_m") && error.contains("1 to 8"), "{error}");
     }

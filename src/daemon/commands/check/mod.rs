@@ -16,6 +16,7 @@ use crate::daemon::line::Line;
 use crate::daemon::offset::Offset;
 use crate::daemon::output::WholeFile;
 use crate::daemon::publish::{self, payload::status_name};
+use crate::daemon::serial::{SerialLine, SerialSettings};
 use crate::daemon::station::{Pace, Station, advice};
 use crate::health::Event;
 use std::borrow::Cow;
@@ -55,7 +56,7 @@ pub fn run(path: &Path, after_update: bool, overlay: Option<&Path>) -> Result<()
         if !after_update || !may_mend || begun.elapsed() + AGAIN > AFTER_UPDATE {
             return outcome;
         }
-        println!("again in {} s", AGAIN.as_secs());
+        say(&format!("again in {} s", AGAIN.as_secs()));
         std::thread::sleep(AGAIN);
     }
 }
@@ -124,6 +125,11 @@ fn once(path: &Path, overlay: Option<&Path>) -> Result<(), Failure> {
     report.line("spool", folders::spool(&config, sandbox.as_ref()), String::clone);
     if let Some(metrics) = folders::metrics(&config, sandbox.as_ref()) {
         report.line("metrics", metrics, String::clone);
+    }
+    if let Some(SerialSettings { device, baud, .. }) = config.serial_settings() {
+        let opened = SerialLine::open(&device, baud)
+            .map_err(|source| Failure::Serial { device: device.clone(), source });
+        report.line("serial", opened, |_| format!("{} opens at {baud} baud", device.display()));
     }
     let connected = broker(&config).and_then(|settings| {
         publish::probe(&settings, &config.window_lengths(), size).map_err(|reason| {
@@ -215,6 +221,11 @@ pub(super) fn withheld(alarm: Alarm, line: &Line) -> Failure {
     Failure::Withheld { reason, status, hint: Cow::Borrowed(hint) }
 }
 
+/// Prints a line. Who no longer reads (`| head`) still gets the exit code.
+fn say(line: &str) {
+    let _ = verge_desk::print(&format!("{line}\n"));
+}
+
 #[derive(Default)]
 struct Report {
     checks: usize,
@@ -233,11 +244,11 @@ impl Report {
         self.checks += 1;
         match outcome.map_err(Into::into) {
             Ok(value) => {
-                println!("ok    {name}: {}", describe(&value));
+                say(&format!("ok    {name}: {}", describe(&value)));
                 Some(value)
             }
             Err(failure) => {
-                println!("FAIL  {name}: {failure}");
+                say(&format!("FAIL  {name}: {failure}"));
                 self.failed += 1;
                 self.code.get_or_insert(failure.exit_code());
                 None

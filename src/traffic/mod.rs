@@ -7,8 +7,8 @@
 //! and definitions, 1963; Cassidy and Coifman, Transportation Research Record 1591, 1997, has them
 //! for cameras): over the rectangle of a lane of length L and an observed time T, in which vehicles
 //! cover the distance D and spend the time t, q = D / (L T), k = t / (L T), v = D / t, so that
-//! q = k v. At the section, in the middle of the lane, stand the count, the time-mean speed of those
-//! that pass, their headways and the time occupancy.
+//! q = k v. At the section, the middle of the lane where nothing else is set, stand the count, the
+//! time-mean speed of those that pass, their headways and the time occupancy.
 
 mod sums;
 
@@ -201,8 +201,11 @@ fn follow(lane: &mut LaneReport, density: f32) {
     for value in [&mut lane.density_veh_km, &mut lane.vehicles_mean] {
         value.iter_mut().for_each(scale);
     }
-    // Followed all the time, it is not sampled.
-    lane.density_se = Some(0.0);
+    // What was followed is not sampled: the rest of the window is (correction for a finite population,
+    // Cochran, Sampling Techniques, 1977, section 2.6).
+    let seen = lane.frames_used as f32 / lane.frames_expected.max(1) as f32;
+    let sampling = factor * libm::sqrtf((1.0 - seen).max(0.0));
+    lane.density_se.iter_mut().for_each(|error| *error *= sampling);
     lane.by_class.iter_mut().flatten().for_each(scale);
     if let Some(occupancy) = &mut lane.space_occupancy {
         *occupancy = (*occupancy * factor).min(1.0);
@@ -213,7 +216,8 @@ fn follow(lane: &mut LaneReport, density: f32) {
     if let Some(error) = &mut lane.error {
         error.calibration *= factor;
         error.counting *= factor;
-        let half = Z90 * libm::hypotf(error.calibration, error.counting);
+        let parts = [error.calibration, error.counting, lane.density_se.unwrap_or(0.0)];
+        let half = Z90 * libm::sqrtf(parts.iter().map(|part| part * part).sum());
         error.ci90 = [(density - half).max(0.0), density + half];
     }
 }

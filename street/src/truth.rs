@@ -13,7 +13,7 @@
 //!   speed: their mean (space mean), null with no vehicle; flow = density x speed.
 //! - since the frame before: distance covered and time spent by all vehicles on the stretch, from
 //!   which flow, density and speed of any time follow by Edie's definitions; vehicles that passed
-//!   its middle, and the time for which one covered it. The first frame has 0.
+//!   its section, and the time for which one covered it. The first frame has 0.
 
 use std::collections::BTreeMap;
 

@@ -40,7 +40,7 @@ fn values_out_of_range_are_refused_with_key_and_range() {
         ("imaging.jpeg_quality=0", "imaging.jpeg_quality"),
         ("fleet.car=-1.0", "fleet.car"),
         ("faults.shake_px=99.0", "faults.shake_px"),
-        ("lane.2.section_m=-1.0", "lane[1].section_m"),
+        ("lane.2.width_m=1.0", "lane.2.width_m"),
     ] {
         let fault = Scene::parse(TINY, "bad.toml", &[change.to_owned()]).expect_err(change);
         let message = fault.to_string();
@@ -56,18 +56,19 @@ fn a_list_is_changed_by_the_number_of_its_entry() {
     assert!(scene.lanes[1].speed_km_h == 31.0 && scene.lanes[0].speed_km_h != 31.0);
     for change in ["lane.0.speed_km_h=31.0", "lane.9.speed_km_h=31.0", "lane.speed_km_h=31.0"] {
         let message = changed(change).expect_err(change).to_string();
-        assert!(message.contains("lane is a list: write lane.1.key=value"), "{message}");
+        assert!(message.contains("lane is a list of 2: write lane.1.key=value"), "{message}");
     }
 }
 
 #[test]
 fn a_section_must_be_on_the_measured_stretch() {
-    let scene = support::tiny(&["lane.1.section_m=100.0"]);
-    let message = Simulation::new(&scene, 1).expect_err("too far").to_string();
-    assert!(
-        message.contains("lane.1.section_m = 100") && message.contains("stretch of"),
-        "{message}"
-    );
+    for change in ["lane.1.section_m=100.0", "lane.1.section_m=-1.0"] {
+        let message = Simulation::new(&support::tiny(&[change]), 1).expect_err(change).to_string();
+        assert!(
+            message.contains("lane.1.section_m = ") && message.contains("stretch of"),
+            "{message}"
+        );
+    }
 }
 
 #[test]

@@ -96,9 +96,9 @@ impl Scene {
             return Err(c.refuse("road.piece", "[]", "at least one piece"));
         }
         for (i, piece) in road.pieces.iter().enumerate() {
-            c.within(&format!("road.piece[{i}].length_m"), piece.length_m, 1.0, MAX_ROAD_M)?;
+            c.within(&format!("road.piece.{}.length_m", i + 1), piece.length_m, 1.0, MAX_ROAD_M)?;
             for curvature in [Some(piece.curvature_per_m), piece.end_curvature_per_m] {
-                let key = format!("road.piece[{i}].curvature_per_m");
+                let key = format!("road.piece.{}.curvature_per_m", i + 1);
                 c.within(&key, curvature.unwrap_or(0.0), -0.03, 0.03)?;
             }
         }
@@ -111,22 +111,27 @@ impl Scene {
         c.within("road.right_edge_m", road.right_edge_m, road.left_edge_m + 2.0, 30.0)?;
         c.within("road.asphalt", road.asphalt, 0.02, 0.8)?;
         for (i, marking) in self.markings.iter().enumerate() {
-            c.within(&format!("marking[{i}].offset_m"), marking.offset_m, -30.0, 30.0)?;
-            c.within(&format!("marking[{i}].width_m"), marking.width_m, 0.02, 1.0)?;
-            c.within(&format!("marking[{i}].dash_m"), marking.dash_m.unwrap_or(1.0), 0.1, 50.0)?;
-            c.within(&format!("marking[{i}].gap_m"), marking.gap_m, 0.0, 50.0)?;
+            c.within(&format!("marking.{}.offset_m", i + 1), marking.offset_m, -30.0, 30.0)?;
+            c.within(&format!("marking.{}.width_m", i + 1), marking.width_m, 0.02, 1.0)?;
+            c.within(
+                &format!("marking.{}.dash_m", i + 1),
+                marking.dash_m.unwrap_or(1.0),
+                0.1,
+                50.0,
+            )?;
+            c.within(&format!("marking.{}.gap_m", i + 1), marking.gap_m, 0.0, 50.0)?;
         }
         let side = &self.roadside;
         for (i, row) in side.trees.iter().enumerate() {
-            c.within(&format!("roadside.trees[{i}].spacing_m"), row.spacing_m, 1.0, 500.0)?;
-            c.within(&format!("roadside.trees[{i}].height_m"), row.height_m, 1.0, 40.0)?;
+            c.within(&format!("roadside.trees.{}.spacing_m", i + 1), row.spacing_m, 1.0, 500.0)?;
+            c.within(&format!("roadside.trees.{}.height_m", i + 1), row.height_m, 1.0, 40.0)?;
         }
         for (i, row) in side.lamps.iter().enumerate() {
-            c.within(&format!("roadside.lamps[{i}].spacing_m"), row.spacing_m, 2.0, 500.0)?;
+            c.within(&format!("roadside.lamps.{}.spacing_m", i + 1), row.spacing_m, 2.0, 500.0)?;
         }
         for (i, barrier) in side.barriers.iter().enumerate() {
-            c.within(&format!("roadside.barrier[{i}].height_m"), barrier.height_m, 0.05, 6.0)?;
-            c.within(&format!("roadside.barrier[{i}].width_m"), barrier.width_m, 0.05, 5.0)?;
+            c.within(&format!("roadside.barrier.{}.height_m", i + 1), barrier.height_m, 0.05, 6.0)?;
+            c.within(&format!("roadside.barrier.{}.width_m", i + 1), barrier.width_m, 0.05, 5.0)?;
         }
         Ok(())
     }
@@ -137,13 +142,12 @@ impl Scene {
         }
         let road_m: f64 = self.road.pieces.iter().map(|piece| piece.length_m).sum();
         for (i, lane) in self.lanes.iter().enumerate() {
-            let key = |name: &str| format!("lane[{i}].{name}");
+            let key = |name: &str| format!("lane.{}.{name}", i + 1);
             let (left, right) = (self.road.left_edge_m, self.road.right_edge_m);
             c.within(&key("offset_m"), lane.offset_m, left, right)?;
             c.within(&key("width_m"), lane.width_m, 2.0, 8.0)?;
             c.within(&key("inflow_veh_h"), lane.inflow_veh_h, 0.0, 3000.0)?;
             c.within(&key("speed_km_h"), lane.speed_km_h, 5.0, 160.0)?;
-            c.within(&key("section_m"), lane.section_m.unwrap_or(0.0), 0.0, road_m)?;
             if let Some(signal) = lane.signal {
                 c.within(&key("signal.at_m"), signal.at_m, 0.0, road_m)?;
                 c.within(&key("signal.green_s"), signal.green_s, 1.0, 3600.0)?;

@@ -365,12 +365,10 @@ fn apply(table: &mut toml::Table, change: &str) -> std::result::Result<(), Strin
         }
         let mut inner = at.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
         if let toml::Value::Array(list) = inner {
-            let number = keys.next().unwrap_or_default();
+            let (number, most) = (keys.next().unwrap_or_default(), list.len());
             let entry = number.parse::<usize>().ok().and_then(|n| list.get_mut(n.checked_sub(1)?));
             inner = entry.ok_or_else(|| {
-                format!(
-                    "--set {change}: {key} is a list: write {key}.1.key=value for its first entry"
-                )
+                format!("--set {change}: {key} is a list of {most}: write {key}.1.key=value to {key}.{most}.key=value")
             })?;
         }
         at = inner.as_table_mut().ok_or_else(|| format!("--set {change}: {key} is not a table"))?;

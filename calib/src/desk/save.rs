@@ -76,7 +76,7 @@ pub fn save(
         Some(&scene),
         DEFAULT_CELL_LENGTH_M,
     )?;
-    let mut config = toml(drawing, site, model);
+    let mut config = toml(drawing, site, model)?;
     if audit::holds(site, &table) {
         config = audit::named(&config);
     }
@@ -144,7 +144,20 @@ fn labelme(file: &LabelFile) -> Vec<u8> {
     text
 }
 
-fn toml(drawing: &Drawing, site: &Site, model: Option<&Path>) -> String {
+/// Those of the usual windows that a picture each `interval_s` fills.
+fn windows_of(interval_s: f64) -> Result<Vec<u64>> {
+    let filled = |length: &u64| (0.01..=*length as f64).contains(&interval_s);
+    let lengths: Vec<u64> = WINDOWS_S.into_iter().filter(filled).collect();
+    if lengths.is_empty() {
+        return Err(Error::Usage(format!(
+            "{interval_s} s between pictures: the sensor's windows need one each 0.01 to {} s",
+            WINDOWS_S[WINDOWS_S.len() - 1]
+        )));
+    }
+    Ok(lengths)
+}
+
+fn toml(drawing: &Drawing, site: &Site, model: Option<&Path>) -> Result<String> {
     let absolute = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     // JSON's texts are TOML's basic ones.
     let text = |text: &str| serde_json::to_string(text).expect("a text is JSON");
@@ -165,11 +178,12 @@ fn toml(drawing: &Drawing, site: &Site, model: Option<&Path>) -> String {
     }
     let _ = writeln!(toml, "source = {source}\ninterval_s = {interval_s:?}");
     if let Some(model) = model {
-        let _ = writeln!(toml, "\n[model]\nfile = {}", path(&absolute(model)));
+        toml.push_str("\n# The model at the desk. On the box: without this section, its own.\n");
+        let _ = writeln!(toml, "[model]\nfile = {}", path(&absolute(model)));
     }
     let _ = writeln!(toml, "\n[lane_table]\nfile = \"lanes.lut\"");
-    let _ = writeln!(toml, "\n[windows]\nlengths_s = {WINDOWS_S:?}");
-    toml
+    let _ = writeln!(toml, "\n[windows]\nlengths_s = {:?}", windows_of(interval_s)?);
+    Ok(toml)
 }
 
 /// Median time between pictures whose names tell their time as `20260105T153000`, s.
@@ -180,8 +194,7 @@ pub fn interval_of(site: &Site) -> Option<f64> {
     times.sort_by(f64::total_cmp);
     let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
     gaps.sort_by(f64::total_cmp);
-    let longest = WINDOWS_S[0] as f64;
-    gaps.get(gaps.len() / 2).copied().filter(|s| (0.01..=longest).contains(s))
+    gaps.get(gaps.len() / 2).copied().filter(|&s| windows_of(s).is_ok())
 }
 
 /// Seconds since a fixed day of a name such as `20260105T153000.250Z`; months count 31 days,
@@ -205,6 +218,16 @@ mod tests {
         let apart = time_of("20260105T153004.500Z").unwrap() - time_of("20260105T152956Z").unwrap();
         assert!((apart - 8.5).abs() < 1e-6);
         assert_eq!(time_of("frame_0001"), None);
+    }
+
+    #[test]
+    fn windows_are_those_that_the_pictures_fill() {
+        assert_eq!(windows_of(5.0).unwrap(), [60, 900]);
+        assert_eq!(windows_of(120.0).unwrap(), [900], "the paper's cameras");
+        for wrong in [0.0, 1000.0, f64::NAN] {
+            let said = windows_of(wrong).unwrap_err().to_string();
+            assert!(said.contains("one each 0.01 to 900 s"), "{said}");
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! Towards the camera that point is of its front, away from it of its rear: of the bumper's lower edge,
 //! which is seen on the road behind it, and at most of the wheels.
 
+use super::vehicle::STANDING_M_S;
 use crate::lane::Lane;
 use crate::units::{Direction, VehicleClass};
 
@@ -13,10 +14,8 @@ const CLEARANCE_M: f32 = 0.18;
 const AXLE_M: f32 = 0.85;
 /// The same of a motorcycle, whose wheels are its ends, m.
 const WHEEL_M: f32 = 0.1;
-/// From a vehicle's end to where it meets the road where nothing tells how steeply it is seen, m.
+/// The same as it is seen, m, where nothing tells how steeply.
 pub(super) const OVERHANG_M: f32 = 0.6;
-/// Least speed at which a vehicle leaves a lane or comes in, m/s.
-const SLOWEST_M_S: f32 = 1.0;
 
 /// The section of one lane.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +28,7 @@ pub(super) struct Section {
 }
 
 impl Section {
-    /// In the middle of a lane that is seen from who knows where.
+    /// In the middle of a lane, seen at an unknown angle.
     pub(super) const fn of(lane: &Lane) -> Self {
         let &Lane { length_m, direction, .. } = lane;
         Self { at_m: length_m / 2.0, length_m, direction, overhang_m: OVERHANG_M }
@@ -42,9 +41,10 @@ impl Section {
         if is_inside {
             self.at_m = at_m;
             self.overhang_m = foreshortening.map_or(OVERHANG_M, |ratio| {
-                // Its cotangent: road behind a point of that height that it hides.
-                let flat = libm::sqrtf((ratio * ratio - 1.0).max(0.0));
-                (CLEARANCE_M * flat).min(AXLE_M)
+                // The ratio is 1 / sin of the angle at which the road is seen; a point over the road
+                // hides the road for its height times the cotangent.
+                let cotangent = libm::sqrtf((ratio * ratio - 1.0).max(0.0));
+                (CLEARANCE_M * cotangent).min(AXLE_M)
             });
         }
         is_inside
@@ -84,13 +84,13 @@ impl Section {
     /// Time for which a vehicle of that speed, m/s, covers it before it meets the road on the lane.
     pub(super) fn covered_before(&self, speed: f32, class: VehicleClass) -> f32 {
         let [low, high] = self.covers(class);
-        (high.min(0.0) - low).max(0.0) / speed.max(SLOWEST_M_S)
+        (high.min(0.0) - low).max(0.0) / speed.max(STANDING_M_S)
     }
 
     /// The same after it has left the lane.
     pub(super) fn covered_after(&self, speed: f32, class: VehicleClass) -> f32 {
         let [low, high] = self.covers(class);
-        (high - low.max(self.length_m)).max(0.0) / speed.max(SLOWEST_M_S)
+        (high - low.max(self.length_m)).max(0.0) / speed.max(STANDING_M_S)
     }
 }
 

@@ -109,6 +109,18 @@ fn flow_is_density_times_speed() {
 }
 
 #[test]
+fn what_was_not_seen_of_a_window_is_sampled() {
+    let mut lane = report(Some(20.0)).lanes[0].clone();
+    lane.frames_used = 75;
+    follow(&mut lane, 20.0);
+    // Three quarters were not seen.
+    let sampling = 2.0 * libm::sqrtf(0.75);
+    assert!((lane.density_se.expect("known") - sampling).abs() < 1e-4);
+    let half = 1.645 * libm::sqrtf(0.4 * 0.4 + 2.0 * 2.0 + sampling * sampling);
+    assert!((lane.error.expect("kept").ci90[1] - 20.0 - half).abs() < 1e-3);
+}
+
+#[test]
 fn what_stands_in_an_empty_road_is_no_error_of_a_flow() {
     let mut windows = windows(300, 0.75);
     windows.set_errors(Some(0.02), Some(0.05), false);

@@ -149,6 +149,11 @@ impl VehicleClass {
         }
     }
 
+    /// Whether it is a car or a van, or may be one.
+    pub const fn is_car_sized(self) -> bool {
+        matches!(self, Self::Vehicle | Self::Car | Self::Van)
+    }
+
     /// The class of that name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|class| class.name() == name)

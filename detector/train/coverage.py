@@ -4,12 +4,12 @@
 
 Owns the check only. `detector/data/counts.jsonl` is what `evidence.py --counts` writes: what each
 camera counts with weights that were fitted without it. A camera-window is all of a camera's audited
-frames in one light; true and counted are means over the same frames, so that sampling has no part and
-the interval is that of counting alone, which is the harder test. Without an audit the spread comes
-from the other cameras (one standard error: root of the sum of the squares of a part of the count and
-of a number of vehicles), so that no camera judges itself. With one, the camera's `audit` frames give
-score and factors as `src/daemon/audit/fit.rs` has it, written once more here, and the `check` frames
-are the window.
+frames in one light. True and counted are means over the same frames, so that sampling has no part in
+their difference: the test is of counting's part of the interval. The interval that a density of so few
+frames has, with sampling, is counted beside it. Without an audit the spread comes from the other
+cameras (one standard error: root of the sum of the squares of a part of the count and of a number of
+vehicles), so that no camera judges itself. With one, the camera's `audit` frames give score and factors
+as `src/daemon/audit/fit.rs` has it, written once more here, and the `check` frames are the window.
 """
 
 import argparse
@@ -98,6 +98,21 @@ def factor(biases, counted):
     return np.interp(counted, loads, factors), np.interp(counted, loads, errors)
 
 
+def test(name, true, counted, counting, sampled):
+    """Whether the interval holds the truth, by counting's error alone and with that of sampling."""
+    off, whole = abs(true - counted), np.hypot(counting, sampled)
+    held = off <= Z90 * counting, off <= Z90 * whole
+    print(f"{name}: {true:6.2f} true, {counted:6.2f} +- {Z90 * counting:.2f}, with sampling "
+          f"{Z90 * whole:.2f}{'' if held[0] else '  outside'}")
+    return held
+
+
+def summary(tested):
+    alone, whole = np.sum(tested, 0)
+    return (f"{alone} of {len(tested)} camera-windows by counting alone, {100 * alone / len(tested):.0f} %; "
+            f"{whole} with sampling")
+
+
 def main():
     args = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     args.add_argument("--counts", default=COUNTS)
@@ -106,8 +121,7 @@ def main():
     with open(args.counts) as file:
         rows = [json.loads(line) for line in file]
     every = windows(rows)
-    held, cases = 0, 0
-    spreads = {}
+    tested, spreads = [], {}
     for light in ("day", "night"):
         pairs = [means(g, args.least) for (_, of), g in every.items() if of == light]
         print(f"{light}: spread over {len(pairs)} cameras: part {spread(pairs)[0]:.2f}, "
@@ -117,14 +131,11 @@ def main():
         part, vehicles = spread(others)
         spreads[camera, light] = part, vehicles
         true, counted = means(group, args.least)
-        error = np.hypot(part * counted, vehicles)
-        error = np.hypot(error, sampling([r["counts"][args.least] for r in group]))
-        cases += 1
-        held += abs(true - counted) <= Z90 * error
-        print(f"{camera:<11}{light:<6}{len(group):>3} frames: {true:6.2f} true, {counted:6.2f} "
-              f"+- {Z90 * error:.2f}{'' if abs(true - counted) <= Z90 * error else '  outside'}")
-    print(f"without an audit: {held} of {cases} camera-windows, {100 * held / cases:.0f} %")
-    held, cases, biases = 0, 0, {}
+        tested.append(test(f"{camera:<11}{light:<6}{len(group):>3} frames", true, counted,
+                           np.hypot(part * counted, vehicles),
+                           sampling([r["counts"][args.least] for r in group])))
+    print(f"without an audit: {summary(tested)}")
+    tested, biases = [], {}
     for (camera, light), group in windows(rows, "check").items():
         counted_by_eye = [r for r in rows if r["camera"] == camera and r["role"] == "audit"]
         if len(counted_by_eye) < FEWEST:
@@ -134,18 +145,13 @@ def main():
         true, counted = means(group, score)
         times, error = factor(loads, counted)
         error = part * counted if error is None else counted * error
-        error = np.hypot(error, left)
-        error = np.hypot(error, times * sampling([r["counts"][score] for r in group]))
-        cases += 1
-        held += abs(true - times * counted) <= Z90 * error
+        tested.append(test(f"{camera:<11}{light:<6}{len(group):>3} frames, score {score}", true,
+                           times * counted, np.hypot(error, left),
+                           times * sampling([r["counts"][score] for r in group])))
         sums = biases.setdefault(camera, np.zeros(2))
         sums += len(group) * np.array([true, times * counted])
-        print(f"{camera:<11}{light:<6}{len(group):>3} frames, score {score}: {true:6.2f} true, "
-              f"{times * counted:6.2f} +- {Z90 * error:.2f}"
-              f"{'' if abs(true - times * counted) <= Z90 * error else '  outside'}")
     off = [abs(found / true - 1) for true, found in biases.values()]
-    print(f"after an audit: {held} of {cases} camera-windows, {100 * held / cases:.0f} %; "
-          f"mean |camera bias| {100 * np.mean(off):.1f} %")
+    print(f"after an audit: {summary(tested)}; mean |camera bias| {100 * np.mean(off):.1f} %")
 
 
 if __name__ == "__main__":

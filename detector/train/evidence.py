@@ -152,7 +152,8 @@ def main():
     args = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     args.add_argument("--data", required=True)
     args.add_argument("--street", required=True, help="recordings that street.py has made")
-    args.add_argument("--columns", type=int, default=800, help="of the net's input")
+    args.add_argument("--columns", type=int,
+                      help="of the net's input [default: as the size of cars asks for]")
     args.add_argument("--counts", help="write what each camera counts without a part in the fit")
     args.add_argument("--camera", action="append", help="only these are left out in turn")
     args = args.parse_args()

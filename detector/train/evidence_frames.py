@@ -8,6 +8,7 @@ import glob
 import json
 import os
 import struct
+import tomllib
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.join(HERE, "..", "..")
 MODEL = os.path.join(ROOT, "models", "verge_nanodet_640x480.onnx")
 FLOOR, SAME, SURE = 0.12, 0.75, 0.45
+SAME_THING = 0.7  # overlap with a box of an earlier frame from which it is the same thing again
 MEAN = np.array([103.53, 116.28, 123.675], np.float32)
 STD = np.array([57.375, 57.12, 58.395], np.float32)
 # Terms of a box by itself, in the order of `Frame.alone`.
@@ -89,12 +91,12 @@ def overlaps(a, b):
     return both / np.maximum(union, 1e-9), both / np.maximum(np.minimum(area[0][:, None], area[1][None]), 1e-9)
 
 
-def distinct(boxes, most):
-    """Of boxes, best first, those that overlap no better one by more."""
-    union, _ = overlaps(boxes, boxes)
+def distinct(boxes, most, over=0):
+    """Of boxes, best first, those that overlap no better one by more, over the union or (1) the smaller."""
+    part = overlaps(boxes, boxes)[over]
     kept = []
     for i in range(len(boxes)):
-        if not kept or union[i, kept].max() <= most:
+        if not kept or part[i, kept].max() <= most:
             kept.append(i)
     return np.array(kept, int)
 
@@ -233,6 +235,19 @@ def plane(boxes, width):
                                         + fit[2] * b[:, 3] / width, 4 / width)
 
 
+def cars(frames):
+    """Boxes of a camera that surely show cars or vans, each thing once: `Sample` of `verge detect`."""
+    found = np.zeros((0, 9))
+    for frame in frames:
+        best = frame.boxes[frame.boxes[:, 4:].max(1) >= SURE]
+        best = best[distinct(best, 0.5, over=1)]
+        best = best[best[:, 4:].argmax(1) <= 1]
+        if len(found) and len(best):
+            best = best[overlaps(best, found)[0].max(1) <= SAME_THING]
+        found = np.concatenate([found, best])
+    return found
+
+
 def grid(path):
     img = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
     k = min(1, 320 / max(img.shape))
@@ -259,7 +274,31 @@ def likeness(here, road, boxes, k):
 
 
 def prepare(frames, columns, roads):
+    """Boxes and what is known of them, for inputs of so many columns; `None`: as the size of cars in the
+    lanes asks for, by the sidecar's steps."""
     nets, groups = {}, {}
+    for frame in frames:
+        groups.setdefault(frame.camera, []).append(frame)
+    with open(MODEL.replace(".onnx", ".toml"), "rb") as file:
+        steps = tomllib.load(file)["step"]
+    for group in groups.values():
+        search(group, columns or steps[-2]["width_px"], nets)
+        car = plane(cars(group), group[0].size[0])
+        if columns is None:
+            in_lanes = np.concatenate([frame.true[frame.inside(frame.true)] for frame in group])
+            side = np.median(car(in_lanes)) / group[0].size[0]
+            wide = next((s["width_px"] for s in steps if side * s["width_px"] >= s["car_px"]),
+                        steps[-1]["width_px"])
+            print(f"{group[0].camera}: cars of {640 * side:.0f} px in 640, input {wide}")
+            if wide != steps[-2]["width_px"]:
+                search(group, wide, nets)
+                car = plane(cars(group), group[0].size[0])
+        for frame in group:
+            describe(frame, car, roads)
+
+
+def search(frames, columns, nets):
+    """The net's boxes on frames, with an input of so many columns."""
     for frame in frames:
         width, height = frame.size
         key = columns, int(-(-min(columns * 3 / 4, columns * height / width) // 32) * 32)
@@ -268,15 +307,6 @@ def prepare(frames, columns, roads):
         frame.boxes = net.boxes(img)
         frame.boxes[:, :4] *= width / img.shape[1]
         frame.scale = min(key[0] / width, key[1] / height)
-        groups.setdefault(frame.camera, []).append(frame)
-    for group in groups.values():
-        sure = []
-        for frame in group:
-            best = frame.boxes[frame.boxes[:, 4:].max(1) >= SURE]
-            sure.append(best[distinct(best, 0.5)])
-        car = plane(np.concatenate(sure), group[0].size[0])
-        for frame in group:
-            describe(frame, car, roads)
 
 
 def describe(frame, car, roads):

@@ -9,6 +9,9 @@ use crate::evidence::{CarSize, Evidence, Expected};
 /// Least score of the net from which a box may be one of those that a recording's size of cars is
 /// taken from.
 const SURE: f32 = 0.45;
+/// A box that overlaps one of an earlier picture by more (IoU) is the same thing again: a building, a
+/// sign, a parked car. Each thing is one sample, however often it is seen.
+const SAME_THING: f32 = 0.7;
 /// Largest mean distance of such boxes from the plane through them, as a logarithm of the size: cars,
 /// vans and lorries of one camera have 0.2 to 0.35, the pictures of several cameras 0.5.
 const ONE_CAMERA: f32 = 0.45;
@@ -77,19 +80,25 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Adds the sure ones of a picture's boxes, which have the net's scores. Pictures of another
-    /// size than the first are left out.
+    /// Adds what a picture's boxes, which have the net's scores, surely show: cars and vans, and
+    /// vehicles of unknown kind. Lorries would make cars too large, and so would buildings, which are
+    /// taken for lorries. Pictures of another size than the first are left out.
     pub fn add(&mut self, picture: (usize, usize), found: &[Detection]) {
-        if *self.picture.get_or_insert(picture) == picture {
-            // Best first: of several boxes on one vehicle the best stays.
-            let first = self.boxes.len();
-            for detection in found.iter().filter(|detection| detection.score >= SURE) {
-                let bounds = detection.bounds;
-                if self.boxes[first..].iter().all(|other| other.ios(&bounds) <= 0.5) {
-                    self.boxes.push(bounds);
-                }
+        if *self.picture.get_or_insert(picture) != picture {
+            return;
+        }
+        // Best first: of several boxes on one vehicle, whatever it is called, the best stays.
+        let mut here: Vec<&Detection> = Vec::new();
+        for detection in found.iter().filter(|detection| detection.score >= SURE) {
+            if here.iter().all(|other| other.bounds.ios(&detection.bounds) <= 0.5) {
+                here.push(detection);
             }
         }
+        here.retain(|detection| {
+            detection.class.is_car_sized()
+                && self.boxes.iter().all(|other| other.iou(&detection.bounds) <= SAME_THING)
+        });
+        self.boxes.extend(here.iter().map(|detection| detection.bounds));
     }
 
     /// The size of cars; `None` where there are too few, or where they do not agree, as in pictures
@@ -144,6 +153,26 @@ mod tests {
         assert!((at / 20.0 - 1.0).abs() < 0.05, "{at}");
         let [small, large] = [[640, 480], [960, 736]].map(|input| sample.car_px(input));
         assert!((large.expect("known") / small.expect("known") - 1.5).abs() < 0.01);
+    }
+
+    #[test]
+    fn lorries_and_a_building_that_is_taken_for_cars_do_not_change_it() {
+        let alone = sample(30, |_| 0.2).size().expect("90 cars");
+        let mut sample = Sample::default();
+        for i in 0..30 {
+            let at = |j: usize| {
+                let v = 80.0 + ((i * 37 + j * 53) % 150) as f32;
+                car(60.0 + 90.0 * j as f32, v, 0.2 * (v - 40.0))
+            };
+            let lorry = Detection { class: VehicleClass::Truck, ..car(160.0, 120.0, 60.0) };
+            let building = car(300.0 + (i % 3) as f32, 60.0, 50.0);
+            sample.add((320, 240), &[lorry, building, at(0), at(1), at(2)]);
+        }
+        let size = sample.size().expect("90 cars");
+        for v in [80.0, 140.0, 220.0] {
+            let at = |size: &CarSize| size.at(crate::units::ImagePoint { u: 100.0, v }, 320.0);
+            assert!((at(&size) / at(&alone) - 1.0).abs() < 0.1, "{} at {v}", at(&size));
+        }
     }
 
     #[test]

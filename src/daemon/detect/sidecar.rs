@@ -206,15 +206,18 @@ fn no_share() -> f32 {
 
 impl Sidecar {
     /// The input to take for cars of `car_px` (median side, px of the sidecar's own input): the
-    /// smallest step that makes them large enough, else the largest; the own one where there is
-    /// no step or no size.
+    /// smallest step that makes them large enough, else the largest. The middle step where their
+    /// size is not known, the own input where there is no step.
     pub fn input_for(&self, car_px: Option<f32>) -> [usize; 2] {
         let own = [self.input.width_px, self.input.height_px];
-        let Some(car_px) = car_px else { return own };
-        let enough = |step: &&Step| {
-            car_px * step.width_px as f32 / self.input.width_px as f32 >= step.car_px
+        let step = match car_px {
+            None => self.step.get(self.step.len() / 2),
+            Some(car_px) => {
+                let enough =
+                    |step: &&Step| car_px * step.width_px as f32 / own[0] as f32 >= step.car_px;
+                self.step.iter().find(enough).or(self.step.last())
+            }
         };
-        let step = self.step.iter().find(enough).or(self.step.last());
         step.map_or(own, |step| [step.width_px, step.height_px])
     }
 

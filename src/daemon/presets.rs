@@ -376,3 +376,24 @@ impl Presets {
         Ok((counts, moves.as_ref()))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_section_learns_from_its_table_how_steeply_it_is_seen() {
+        let table = TableSettings::of(Path::new("tests/data/curve.lut"));
+        let mut presets = Presets::load(&table).expect("it ships");
+        let is_on = presets.follow(100.0, Duration::from_millis(80));
+        assert!(matches!(is_on, Following::On { .. }), "{is_on}");
+        let Lane { id, length_m, .. } = presets.presets[0].table().lanes[0];
+        let mut overhang_m = |part: f32| {
+            presets.set_section(id, part * length_m).expect("on the lane");
+            presets.presets[0].tracker.as_ref().and_then(|t| t.overhang_m(id)).expect("on")
+        };
+        let [first, last] = [overhang_m(0.15), overhang_m(0.85)];
+        // 0.6 m where nothing is known.
+        assert!(first < 0.5 && last < 0.5 && (first - last).abs() > 0.03, "{first} m, {last} m");
+    }
+}

@@ -51,6 +51,13 @@ impl Tracker {
         known.map(|(_, tracker)| tracker.section_m())
     }
 
+    /// How far from its end a vehicle meets the road at the section of that lane, m.
+    #[cfg(test)]
+    pub fn overhang_m(&self, lane: LaneId) -> Option<f32> {
+        let known = self.lanes.iter().find(|(id, _)| *id == lane);
+        known.map(|(_, tracker)| tracker.section.overhang_m)
+    }
+
     /// The longest time between two pictures with which it follows vehicles.
     pub const fn longest_interval(&self) -> Duration {
         self.longest

@@ -24,7 +24,7 @@ pub(super) struct Section {
     pub(super) at_m: f32,
     length_m: f32,
     direction: Direction,
-    overhang_m: f32,
+    pub(super) overhang_m: f32,
 }
 
 impl Section {

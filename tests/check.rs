@@ -351,3 +351,15 @@ fn who_turns_the_camera_is_told_how_far_and_which_way() {
     assert!(said.contains(away), "{said}");
     assert!(said.contains(": in place") && said.ends_with("where it was calibrated\n"), "{said}");
 }
+
+#[test]
+fn pictures_are_written_as_png_and_a_table_needs_its_frames() {
+    for (args, expected) in [
+        (&["check", "--config", "verge.toml", "--overlay", "now.jpg"][..], "ends in .png"),
+        (&["bench", "--table", common::STREET_TABLE], "--frames"),
+    ] {
+        let output = common::verge(args);
+        let said = common::stderr(&output);
+        assert!(output.status.code() == Some(64) && said.contains(expected), "{said}");
+    }
+}

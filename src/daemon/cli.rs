@@ -39,7 +39,7 @@ enum Command {
         #[arg(long)]
         after_update: bool,
         /// Also draw the present picture with lanes, boxes, contact points and counts
-        #[arg(long, value_name = "FILE.png")]
+        #[arg(long, value_name = "FILE.png", value_parser = png)]
         overlay: Option<PathBuf>,
         /// For whoever turns the camera: print each second how far it is off and which way to turn
         /// it, until it stands in place; nothing else is tried
@@ -82,6 +82,16 @@ enum Command {
     /// Play a recording through the whole line to an MQTT client, all in this process
     #[cfg(feature = "demo")]
     Demo,
+}
+
+/// Reads the name of a PNG.
+fn png(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let is_other = |suffix: &std::ffi::OsStr| !suffix.eq_ignore_ascii_case("png");
+    if path.extension().is_some_and(is_other) {
+        return Err("it is written as PNG: give a name that ends in .png".to_owned());
+    }
+    Ok(path)
 }
 
 /// Does what the command line says.

@@ -126,9 +126,9 @@ pub enum Failure {
         what: &'static str,
     },
     /// Messages that could not be converted.
-    #[error("{bad} of {count} messages could not be read; the others are converted")]
+    #[error("{bad} of {count} messages are left out; the others are converted")]
     Messages {
-        /// Messages that could not be read.
+        /// Messages that could not be read, or that lack what the format asks for.
         bad: usize,
         /// All messages.
         count: usize,

@@ -27,6 +27,7 @@ use crate::picture::Light;
 use crate::sensor::{self, Outcome};
 use crate::units::{ImagePoint, LaneId};
 use crate::wire::ModelRef;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -102,13 +103,18 @@ impl Line {
     /// they are followed. To be called after [`Self::follow`].
     ///
     /// # Errors
-    /// [`ConfigError::Camera`] names the lane that no table has, or the place that is not on it.
+    /// [`ConfigError::Camera`] names the lane that no table has, that is given twice, or the place that
+    /// is not on it.
     pub fn set_sections(
         &mut self,
         sections: impl IntoIterator<Item = (LaneId, f32)>,
     ) -> Result<(), ConfigError> {
+        let wrong = |reason| ConfigError::Camera { key: "traffic.section_m", reason };
+        let mut given = BTreeSet::new();
         for (lane, section_m) in sections {
-            let wrong = |reason| ConfigError::Camera { key: "traffic.section_m", reason };
+            if !given.insert(lane) {
+                return Err(wrong(format!("lane {} has two sections; give it one", lane.get())));
+            }
             self.presets.set_section(lane, section_m).map_err(wrong)?;
         }
         Ok(())

@@ -93,6 +93,7 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
     );
     let mut held: [(&str, Held); 4] =
         ["flow", "speed", "density", "time occupancy"].map(|name| (name, Held::default()));
+    let header = text.len();
     for window in lines::<Window>(windows)? {
         let mut seconds = 0.0;
         let mut sums: BTreeMap<u8, Sums> = BTreeMap::new();
@@ -155,6 +156,18 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
                 number(lane.density_difference),
             );
         }
+    }
+    if text.len() == header {
+        return Err(Failure::Content {
+            path: windows.to_owned(),
+            line: 0,
+            reason: format!(
+                "no window in it has a lane and a time of {}; give what `verge replay --json` printed of \
+                 this recording",
+                truth.display()
+            ),
+        }
+        .into());
     }
     let known = held.iter().filter(|(_, held)| held.all > 0);
     let known: Vec<_> =

@@ -71,4 +71,16 @@ fn a_score_counts_the_intervals_that_hold_the_truth() {
         rows.iter().all(|row| row.contains("| 1 | 720.0: 720.0 (+0.0 %) | 36.0: - | 20.0: 20.0"))
     );
     assert!(rows[0].contains("| 6: - |") && rows[1].contains("| 12: - |"), "{said}");
+    // Nothing to score: no window, or those of another recording.
+    for other in [String::new(), window(7, "null")] {
+        std::fs::write(&windows, other).expect("writing");
+        let output = Command::new(env!("CARGO_BIN_EXE_street"))
+            .args(["score", "--truth", &truth.display().to_string()])
+            .args(["--windows", &windows.display().to_string()])
+            .output()
+            .expect("it runs");
+        assert_eq!(output.status.code(), Some(65));
+        let said = String::from_utf8(output.stderr).expect("text");
+        assert!(said.contains("no window in it has a lane and a time of"), "{said}");
+    }
 }

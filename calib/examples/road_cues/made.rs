@@ -28,6 +28,7 @@ pub fn record(folder: &Path, size: [u32; 2], seed: u64, frames: usize, truth_onl
             continue;
         }
         if !truth_only {
+            std::fs::create_dir_all(folder).expect("a folder that can be made");
             recording::write(&scene, frames, seed, &out).expect("a new folder");
             return;
         }

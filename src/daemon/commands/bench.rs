@@ -33,7 +33,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR", requires = "table")]
     frames: Option<PathBuf>,
     /// Lane table of these frames
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "frames")]
     table: Option<PathBuf>,
     #[command(flatten)]
     model: ModelArgs,

@@ -40,8 +40,10 @@ impl Tableless {
         let described = Detector::described(model)?;
         let looks_first = described.evidence.is_some();
         let input_px = match input {
-            NetInput::Px(size) if !looks_first => Some(size),
-            _ => None,
+            // The first look sees cars that are small in the model's own input, too.
+            _ if looks_first => Some(described.input_for(None)),
+            NetInput::Px(size) => Some(size),
+            NetInput::Auto => None,
         };
         let options = LoadOptions { score, input_px, candidates: true, ..LoadOptions::default() };
         let detector = Detector::load_as(model, &options)?;
@@ -90,7 +92,8 @@ impl Tableless {
         let input_px = match self.input {
             NetInput::Px(size) => size,
             NetInput::Auto => {
-                self.described.input_for(self.sample.car_px(self.detector.input_size()))
+                let own = [self.described.input.width_px, self.described.input.height_px];
+                self.described.input_for(self.sample.car_px(own))
             }
         };
         self.vehicles = Vehicles::new(self.described.evidence, self.options.score, input_px);

@@ -6,7 +6,7 @@
 use crate::trust::Reason;
 use std::path::PathBuf;
 use verge_desk::Exit;
-use verge_desk::sysexits::{DATAERR, NOINPUT, SOFTWARE, USAGE};
+use verge_desk::sysexits::{DATAERR, NOINPUT, USAGE};
 
 /// Why a calibration, a check or a table could not be made.
 ///
@@ -182,7 +182,6 @@ impl Exit for Error {
             Error::Desk(failure) => failure.exit_code(),
             Error::Usage(_) => USAGE,
             Error::EmptyFolder { .. } => NOINPUT,
-            Error::Solver { .. } => SOFTWARE,
             _ => DATAERR,
         }
     }

@@ -315,3 +315,54 @@ fn exit_codes_follow_sysexits() {
     assert_eq!(code(calibrate(&labels, &nowhere, &["--method", "joint"])), 73);
     assert!(!missing.exists());
 }
+
+#[test]
+fn what_a_method_does_not_take_is_refused() {
+    let folder = Folder::new("taken");
+    let (labels, json) = (data("k109f/labels"), folder.join("k.json"));
+    let boxes = folder.join("boxes.jsonl");
+    std::fs::write(&boxes, r#"{"frame":"a","boxes":[[600,400,640,440,0.9,"car"]]}"#).unwrap();
+    for (more, expected) in [
+        (&["--lane-width", "3.5"][..], "--lane-width is an observation of --method road"),
+        (&["--camera-height", "5"], "--camera-height is an observation of --method road"),
+        (&["--detections", text(&boxes)], "--detections is an observation of --method road"),
+        (&["--method", "cg", "--distortion"], "--distortion is an option of --method joint"),
+        (&["--method", "road", "--sway-px", "3"], "--sway-px is an option of --method joint"),
+    ] {
+        let out = calibrate(&labels, &json, more);
+        let said = stderr(&out);
+        assert!(out.status.code() == Some(64) && said.contains(expected), "{more:?}: {said}");
+    }
+    let lengths = folder.join("lengths.json");
+    std::fs::write(&lengths, LENGTHS).unwrap();
+    let road = |out: &Path, more: &[&str]| {
+        let given = ["calibrate", "--method", "road", "--image-size", "320x240"];
+        let lengths = ["--lengths", text(&lengths), "--out", text(out)];
+        mvcalib(&[&given[..], &lengths, more].concat())
+    };
+    // Boxes of another camera, and none.
+    let out = road(&json, &["--detections", text(&boxes)]);
+    assert!(out.status.code() == Some(65), "{}", stderr(&out));
+    assert!(stderr(&out).contains("lies outside pictures of 320x240"), "{}", stderr(&out));
+    std::fs::write(&boxes, "").unwrap();
+    let out = road(&json, &["--detections", text(&boxes)]);
+    assert!(stderr(&out).contains("no box in it"), "{}", stderr(&out));
+    // An input stays what it is.
+    let out = road(&lengths, &[]);
+    assert!(out.status.code() == Some(73), "{}", stderr(&out));
+    assert_eq!(std::fs::read_to_string(&lengths).unwrap(), LENGTHS);
+    assert!(road(&json, &[]).status.success());
+    let (marks, size) = (text(&lengths), "640x480");
+    let out =
+        mvcalib(&["verify", "--calibration", text(&json), "--marks", marks, "--image-size", size]);
+    assert!(out.status.code() == Some(65), "{}", stderr(&out));
+    let lanes = folder.join("lanes.json");
+    std::fs::write(&lanes, LANES).unwrap();
+    let table = ["table", "--calibration", text(&json), "--lanes", text(&lanes), "--force"];
+    let lut = folder.join("k.lut");
+    for (made, drawn) in [(&json, None), (&lanes, None), (&lut, Some(&lut))] {
+        let overlay = drawn.map_or_else(Vec::new, |path| vec!["--overlay", text(path)]);
+        let out = mvcalib(&[&table[..], &["--out", text(made)], &overlay].concat());
+        assert!(out.status.code() == Some(73), "{}", stderr(&out));
+    }
+}

@@ -38,7 +38,7 @@ pub enum Failure {
         reason: String,
     },
     /// An output that cannot be made. What was there before is untouched.
-    #[error("cannot write {}: {source}; is there room, and may you write there?", path.display())]
+    #[error("cannot write {}: {}", path.display(), unwritten(source))]
     Write {
         /// The file or folder.
         path: PathBuf,
@@ -51,9 +51,22 @@ pub enum Failure {
         /// The folder.
         path: PathBuf,
     },
+    /// An output under the name of an input.
+    #[error("cannot write {}: it is an input, which would be lost; give another file", path.display())]
+    Lost {
+        /// The file.
+        path: PathBuf,
+    },
     /// Standard output that cannot be written.
     #[error("cannot write to standard output: {0}")]
     Print(io::Error),
+}
+
+fn unwritten(source: &io::Error) -> String {
+    match source.kind() {
+        io::ErrorKind::NotFound => "its folder is not there: make it first".to_owned(),
+        _ => format!("{source}; is there room, and may you write there?"),
+    }
 }
 
 fn line_text(line: usize) -> String {
@@ -91,7 +104,7 @@ impl Exit for Failure {
             Self::Missing { .. } => NOINPUT,
             Self::Read { .. } | Self::Print(_) => IOERR,
             Self::Content { .. } => DATAERR,
-            Self::Write { .. } | Self::Occupied { .. } => CANTCREAT,
+            Self::Write { .. } | Self::Lost { .. } | Self::Occupied { .. } => CANTCREAT,
         }
     }
 }

@@ -28,5 +28,5 @@ pub use generated::hold;
 pub use program::{Exit, print, run_main};
 pub use read::{read_bytes, read_text, text};
 pub use skip::{shared, skip};
-pub use whole::{Batch, make_parent, write_whole, write_whole_with};
+pub use whole::{Batch, make_parent, write_whole, write_whole_beside, write_whole_with};
 pub use whole_folder::WholeFolder;

@@ -19,6 +19,24 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     write_whole_with(path, |file| file.write_all(bytes))
 }
 
+/// The same, where the output may not be one of the `inputs` from which it was made.
+///
+/// # Errors
+/// [`Failure::Write`]; an old file is then as it was.
+pub fn write_whole_beside(
+    path: &Path,
+    bytes: &[u8],
+    inputs: &[Option<&Path>],
+) -> Result<(), Failure> {
+    let is_output = |input: &&&Path| {
+        input.canonicalize().is_ok_and(|input| path.canonicalize().is_ok_and(|path| path == input))
+    };
+    match inputs.iter().flatten().find(is_output) {
+        Some(input) => Err(Failure::Lost { path: input.to_path_buf() }),
+        None => write_whole(path, bytes),
+    }
+}
+
 /// The same with a function that writes the content.
 ///
 /// # Errors

@@ -43,7 +43,7 @@ fn read(folder: &Path, exact: bool) -> Option<Made> {
     let lanes = lanes(&file, "lanes.json", &truth).expect("the street's lanes are right");
     let detections = folder.join("detections.jsonl");
     let boxes = if detections.exists() && !exact {
-        cue_files::boxes(&detections).expect("a detector's boxes")
+        cue_files::boxes(&detections, truth.image_size).expect("a detector's boxes")
     } else {
         true_boxes(&folder.join("truth.jsonl"))
     };

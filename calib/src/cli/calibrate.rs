@@ -20,7 +20,7 @@ use mvcalib::road::fit::{Cues, fit};
 use mvcalib::road::marks::Marks;
 use mvcalib::trust::Trust;
 use std::path::{Path, PathBuf};
-use verge_desk::write_whole;
+use verge_desk::write_whole_beside;
 
 /// Arguments of `calibrate`.
 #[derive(Debug, clap::Args)]
@@ -110,7 +110,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         None => arguments.without_vehicles()?,
     };
     calibration.camera_id = arguments.camera_id.clone();
-    write_whole(&arguments.out, calibration.to_json().as_bytes())?;
+    let Arguments { vehicles, lane_lines, lengths, detections, picture, frame_shifts, .. } =
+        arguments;
+    let inputs = [vehicles, lane_lines, lengths, detections, picture, frame_shifts];
+    let inputs = inputs.map(Option::as_deref);
+    write_whole_beside(&arguments.out, calibration.to_json().as_bytes(), &inputs)?;
     eprintln!("{}", summary(&calibration, &arguments.out));
     let unaided = arguments.lane_lines.is_none() && arguments.lengths.is_none();
     if arguments.method == Method::Joint && unaided {
@@ -168,7 +172,14 @@ impl Arguments {
             check_pictures(folder, size)?;
         }
         let start = std::time::Instant::now();
-        let found = fit(&self.road(size)?, size)?;
+        let cues = self.road(size)?;
+        let found = fit(&cues, size)?;
+        if !cues.boxes.is_empty() && found.traffic.is_none() {
+            eprintln!(
+                "traffic: none of {} boxes is used: none is whole, large enough and inside a lane",
+                cues.boxes.len()
+            );
+        }
         let mut calibration = found.calibration();
         calibration.wall_time_s = start.elapsed().as_secs_f64();
         eprint!("{}", residuals::text(&found));
@@ -179,7 +190,7 @@ impl Arguments {
     fn road(&self, size: [u32; 2]) -> Result<Cues> {
         let lanes = self.lane_lines.as_ref().map(|path| cue_files::lanes(path, size));
         let marks = self.lengths.as_ref().map(|path| Marks::read(path)).transpose()?;
-        let boxes = self.detections.as_ref().map(|path| cue_files::boxes(path));
+        let boxes = self.detections.as_ref().map(|path| cue_files::boxes(path, size));
         let mut cues = Cues {
             marks: marks.as_ref().map_or_else(Vec::new, Marks::cues),
             rectangles: marks.as_ref().map_or_else(Vec::new, Marks::rectangle_cues),
@@ -205,6 +216,12 @@ impl Arguments {
 
 impl Arguments {
     fn options(&self, size: [u32; 2]) -> Result<Options> {
+        let of_joint = [("--distortion", self.distortion), ("--sway-px", self.sway_px != 0.0)];
+        if let Some((name, _)) = of_joint.iter().find(|(_, given)| *given)
+            && self.method != Method::Joint
+        {
+            return Err(Error::Usage(format!("{name} is an option of --method joint alone")));
+        }
         let positive = |name: &str, value: f64| {
             if value > 0.0 && value.is_finite() {
                 Ok(value)
@@ -236,8 +253,14 @@ impl Arguments {
 impl Arguments {
     fn cues(&self, expected: [u32; 2]) -> Result<RoadCues> {
         let mut cues = RoadCues::default();
-        if self.dashes.is_some() {
-            return Err(Error::Usage("--dashes are observations of --method road".into()));
+        let of_road = [
+            ("--dashes", self.dashes.is_some()),
+            ("--detections", self.detections.is_some()),
+            ("--lane-width", self.lane_width.is_some()),
+            ("--camera-height", self.camera_height.is_some()),
+        ];
+        if let Some((name, _)) = of_road.iter().find(|(_, given)| *given) {
+            return Err(Error::Usage(format!("{name} is an observation of --method road")));
         }
         if let Some(path) = &self.lane_lines {
             let file = LabelFile::read(path)?;

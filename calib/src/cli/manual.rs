@@ -2,9 +2,9 @@
 
 use clap::Command;
 use verge_desk::manual::{Manual, Page};
-use verge_desk::sysexits::{CANTCREAT, DATAERR, IOERR, NOINPUT, SOFTWARE};
+use verge_desk::sysexits::{CANTCREAT, DATAERR, IOERR, NOINPUT};
 
-const ENDS: &[u8] = &[DATAERR, NOINPUT, SOFTWARE, CANTCREAT, IOERR];
+const ENDS: &[u8] = &[DATAERR, NOINPUT, CANTCREAT, IOERR];
 
 const PAGES: &[Page] = &[
     Page {

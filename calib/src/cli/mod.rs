@@ -16,7 +16,7 @@ mod verify;
 use clap::{CommandFactory, Parser, Subcommand};
 use mvcalib::error::Result;
 use mvcalib::files::calibration::Calibration;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Calibrates a traffic camera and makes its lane table.
 #[derive(Debug, Parser)]
@@ -77,6 +77,10 @@ pub struct CalibrationFile {
 impl CalibrationFile {
     fn read(&self) -> Result<Calibration> {
         Calibration::read(&self.calibration, self.image_size)
+    }
+
+    fn path(&self) -> &Path {
+        &self.calibration
     }
 
     /// The file's bytes, for its hash.

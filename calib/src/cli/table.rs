@@ -15,7 +15,7 @@ use mvcalib::road::scene_reference::{picture, pictures, reference};
 use std::path::PathBuf;
 use verge::lane::{DEFAULT_CELL_LENGTH_M, MAX_CELL_LENGTH_M, MIN_CELL_LENGTH_M};
 use verge::scene::Reference;
-use verge_desk::write_whole;
+use verge_desk::write_whole_beside;
 
 /// Arguments of `table`.
 #[derive(Debug, clap::Args)]
@@ -117,9 +117,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = arguments.scene(&file, calibration.camera().image_size)?;
     let bytes =
         table(&calibration, &lanes, sha256, &fallback, scene.as_ref(), arguments.cell_length)?;
-    write_whole(&arguments.out, &bytes)?;
+    let inputs = [
+        Some(arguments.lanes.as_path()),
+        Some(arguments.calibration.path()),
+        arguments.image.as_deref(),
+    ];
+    write_whole_beside(&arguments.out, &bytes, &inputs)?;
     if let (Some(path), Some(png)) = (&arguments.overlay, overlay) {
-        write_whole(path, &png)?;
+        let made = Some(arguments.out.as_path());
+        write_whole_beside(path, &png, &[&inputs[..], &[made]].concat())?;
     }
     match &scene {
         Some(scene) => eprintln!("scene: {} edge points", scene.fine.len()),

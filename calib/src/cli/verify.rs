@@ -62,7 +62,7 @@ fn table(calibration: &Calibration, marks: &Marks) -> Result<String> {
     let (camera, known) = (calibration.camera(), calibration.known());
     let mut text = String::from("mark   true m   measured m   error m   error %   stated +- %\n");
     let mut stretches = Vec::new();
-    let mut logs = Vec::new();
+    let (mut logs, mut errors) = (Vec::new(), Vec::new());
     for segment in marks.segments() {
         let (measured, length) = (segment.measure(&camera)?, segment.length_m);
         let error = measured - length;
@@ -76,27 +76,26 @@ fn table(calibration: &Calibration, marks: &Marks) -> Result<String> {
         );
         stretches.push(segment.ends);
         logs.push((measured / length).ln());
+        errors.push(100.0 * error / length);
     }
-    let mean = logs.iter().sum::<f64>() / logs.len().max(1) as f64;
+    let mean_of = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let (mean, bias_pct) = (mean_of(&logs), mean_of(&errors));
     let stated = known.and_then(|k| k.of_stretches(&stretches)).map(|e| e.rel_sd);
     let _ = match stated {
         Some(sd) if mean.abs() <= NINETY * sd => writeln!(
             text,
-            "the mean length is off by {:+.1} %: within the stated error (+- {:.1} %, 90 %)",
-            100.0 * mean.exp_m1(),
+            "the mean length is off by {bias_pct:+.1} %: within the stated error (+- {:.1} %, 90 %)",
             100.0 * NINETY * sd,
         ),
         Some(sd) => writeln!(
             text,
-            "the mean length is off by {:+.1} %: MORE than the stated error allows (+- {:.1} %, \
+            "the mean length is off by {bias_pct:+.1} %: MORE than the stated error allows (+- {:.1} %, \
              90 %); look at the marks, then add them to the calibration as --lengths",
-            100.0 * mean.exp_m1(),
             100.0 * NINETY * sd,
         ),
         None => writeln!(
             text,
-            "the mean length is off by {:+.1} %; {} states no error of its own",
-            100.0 * mean.exp_m1(),
+            "the mean length is off by {bias_pct:+.1} %; {} states no error of its own",
             calibration.method,
         ),
     };

@@ -211,6 +211,11 @@ impl Calibration {
                 "{format} {version}, this program reads {FORMAT} {VERSION}"
             )));
         }
+        if let (Some(actual), Some(expected)) = (calibration.image_size, image_size)
+            && actual != expected
+        {
+            return Err(Error::ImageSize { what: path.display().to_string(), actual, expected });
+        }
         calibration.image_size = calibration.image_size.or(image_size);
         if calibration.image_size.is_none() {
             return Err(wrong("no image_size; pass --image-size WIDTHxHEIGHT".into()));

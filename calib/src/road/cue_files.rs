@@ -112,9 +112,15 @@ struct Frame {
 /// Lowest score of a box that is taken for a vehicle.
 pub const MIN_SCORE: f64 = 0.3;
 
-/// Reads the boxes of a detector: one JSON line a frame, as `verge detect` writes them.
-pub fn boxes(path: &Path) -> Result<Vec<BoxCue>> {
+/// Reads the boxes of a detector in pictures of `size`, px: one JSON line a frame, as `verge detect`
+/// writes them.
+///
+/// # Errors
+/// [`Error::Json`] names the line of a box that is none or lies outside such pictures; a file without
+/// any is refused too.
+pub fn boxes(path: &Path, size: [u32; 2]) -> Result<Vec<BoxCue>> {
     let text = verge_desk::read_text(path)?;
+    let [width, height] = size.map(f64::from);
     let mut all = Vec::new();
     for (frame, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         let parsed: Frame = serde_json::from_str(line).map_err(|e| Error::Json {
@@ -127,10 +133,22 @@ pub fn boxes(path: &Path) -> Result<Vec<BoxCue>> {
                 let detail = format!("line {}: the box {corners:?} is none", frame + 1);
                 return Err(Error::Json { path: path.to_owned(), detail });
             }
+            if x1 > width + 1.0 || y1 > height + 1.0 {
+                let detail = format!(
+                    "line {}: the box {corners:?} lies outside pictures of {width}x{height}; are these \
+                     boxes of this camera?",
+                    frame + 1
+                );
+                return Err(Error::Json { path: path.to_owned(), detail });
+            }
             if score >= MIN_SCORE {
                 all.push(BoxCue { frame, corners, class: Class::of_name(&class) });
             }
         }
+    }
+    if all.is_empty() {
+        let detail = format!("no box in it has a score of {MIN_SCORE} or more");
+        return Err(Error::Json { path: path.to_owned(), detail });
     }
     Ok(all)
 }

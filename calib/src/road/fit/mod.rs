@@ -111,7 +111,7 @@ pub fn fit(cues: &Cues, image_size: [u32; 2]) -> Result<Fit> {
     let none = || Error::Solver {
         method: METHOD,
         detail: "no camera over a road sees all of these points below its horizon; look for one \
-                 that is not on the road"
+                 that is not on the road, and for lengths that are not in metres"
             .into(),
     };
     let optimum = problem.solve().ok_or_else(none)?;

@@ -214,3 +214,34 @@ fn an_audit_of_another_input_is_refused_at_the_start() {
     assert_eq!(output.status.code(), Some(65));
     assert!(stderr(&output).contains("the net's input was"), "{}", stderr(&output));
 }
+
+#[test]
+fn the_factors_hold_for_the_score_and_the_views_with_which_they_were_counted() {
+    let site = Site::new();
+    let chosen = site.chosen("3");
+    let names: Vec<&str> = chosen.iter().map(String::as_str).collect();
+    let out = site.folder.path().join("site.toml");
+    let output = site.learn(&answers(&names, |_, _, n| n), &out);
+    assert!(output.status.success(), "{}", stderr(&output));
+    // Another score that is asked for gives way, and is told of.
+    let plain = site.replay(&["--audit", text(&out)]);
+    let asked = site.replay(&["--audit", text(&out), "--score", "0.95"]);
+    assert_eq!(asked["lanes"], plain["lanes"]);
+    let replay = |more: &[&str]| {
+        let args = ["replay", "--table", STREET_TABLE, "--frames", text(&site.frames)];
+        verge(&[&args, more].concat())
+    };
+    let said = stderr(&replay(&["--audit", text(&out), "--score", "0.95"]));
+    assert!(said.contains("score 0.95 is asked for; the audit's "), "{said}");
+    let output = replay(&["--audit", text(&out), "--views", "auto"]);
+    assert_eq!(output.status.code(), Some(65));
+    assert!(stderr(&output).contains("other parts of the picture"), "{}", stderr(&output));
+    // What a configuration says is not said twice, and no input becomes an output.
+    let output = verge(&["audit", "--config", "x.toml", "--frames", "y", "--score", "0.4"]);
+    assert_eq!(output.status.code(), Some(64), "{}", stderr(&output));
+    let counts = site.folder.path().join("counts.csv");
+    let before = std::fs::read(&counts).expect("counts");
+    let output = site.audit(&["--counts", text(&counts), "--out", text(&counts)]);
+    assert_eq!(output.status.code(), Some(73), "{}", stderr(&output));
+    assert_eq!(std::fs::read(&counts).expect("counts"), before);
+}

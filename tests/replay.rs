@@ -264,7 +264,16 @@ fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
         let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--score", score]);
         assert!(code == 64 && said.contains("give 0 to 1"), "{said}");
     }
+    for (input, expected) in [("641x480", "a multiple of 32"), ("0x480", "a multiple of 32")] {
+        let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--input", input]);
+        assert!(code == 64 && said.contains(expected), "{said}");
+    }
+    let args = ["--table", K109F_TABLE, "--frames", frames, "--interval", "9"];
     std::fs::write(folder.path().join("frames/a.jpg"), jpeg(320, 240, 9)).expect("a frame");
+    let (code, said) = fails(&[&args[..], &["--input", "64x64"]].concat());
+    assert!(code == 78 && said.contains("hardly one is found"), "{said}");
+    let (code, said) = fails(&[&args[..], &["--detections", K109F_TABLE]].concat());
+    assert!(code == 73 && said.contains("an input, which would be lost"), "{said}");
     for (sections, expected) in [
         (&["7=40"][..], "no lane table has a lane 7"),
         (&["2=400"], "lane 2 has "),

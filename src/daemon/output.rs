@@ -68,6 +68,21 @@ impl WholeFile {
         Ok(Self { path: path.to_owned(), partial, writer, finished: false })
     }
 
+    /// The same, where the output may not be one of these files.
+    ///
+    /// # Errors
+    /// [`WriteError`] says so.
+    pub fn beside(path: &Path, inputs: &[&Path]) -> Result<Self, WriteError> {
+        let is_output = |input: &&Path| {
+            input.canonicalize().is_ok_and(|input| path.canonicalize().is_ok_and(|p| p == input))
+        };
+        if inputs.iter().any(is_output) {
+            let source = io::Error::other("it is an input, which would be lost: give another file");
+            return Err(WriteError { path: path.to_owned(), source });
+        }
+        Self::create(path)
+    }
+
     /// Everybody may read it, whatever the umask: it is made for another program's user.
     ///
     /// # Errors

@@ -29,6 +29,9 @@ pub struct Tableless {
     size: Option<CarSize>,
     scene: Scene,
     pictures: i64,
+    /// Columns and rows of the first picture, and whether others have been told of.
+    shape: Option<(usize, usize)>,
+    has_warned: bool,
 }
 
 impl Tableless {
@@ -59,6 +62,8 @@ impl Tableless {
             size: None,
             scene: Scene::new(Vec::new()),
             pictures: 0,
+            shape: None,
+            has_warned: false,
         })
     }
 
@@ -107,6 +112,19 @@ impl Tableless {
     /// # Errors
     /// [`Failure::Detect`].
     pub fn detect(&mut self, picture: &Picture, found: &mut Vec<Detection>) -> Result<(), Failure> {
+        let shape = (picture.width, picture.height);
+        let first = *self.shape.get_or_insert(shape);
+        if shape != first && !self.has_warned {
+            self.has_warned = true;
+            log::warn!(
+                "a picture has {}x{} px, the first {}x{}: frames of one camera belong in a folder of \
+                 their own",
+                shape.0,
+                shape.1,
+                first.0,
+                first.1
+            );
+        }
         self.detector.detect(picture, found)?;
         self.choose(picture, found);
         Ok(())

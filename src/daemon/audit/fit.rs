@@ -112,16 +112,14 @@ pub fn fit(
     let (dispersion, freedom) = dispersion(&loads, score);
     let wider = STUDENT.get(freedom.max(1) - 1).copied().unwrap_or(1.0 + 1.0 / freedom as f32);
     let biases = loads.iter().filter_map(|load| bias(load, score, dispersion, wider, relative));
+    let score_then = scores.get(score).copied();
     let mut correction =
-        SiteCorrection { score: None, by_load: heapless::Vec::new(), vehicles_se: vehicles };
+        SiteCorrection { score: score_then, by_load: heapless::Vec::new(), vehicles_se: vehicles };
     for bias in biases {
         // Loads that the line counts alike are one.
         if correction.by_load.last().is_none_or(|last| last.counted < bias.counted) {
             let _ = correction.by_load.push(bias);
         }
-    }
-    if score != stated {
-        correction.score = scores.get(score).copied();
     }
     let mean =
         frames.iter().map(|frame| frame.found(score) + 1.0).sum::<f32>() / frames.len() as f32;
@@ -257,7 +255,7 @@ mod tests {
     fn what_is_missed_is_made_up_for_and_more_frames_tell_more() {
         let few = fitted(&missing_a_fifth(4)).expect("a correction");
         let many = fitted(&missing_a_fifth(30)).expect("a correction");
-        assert_eq!((few.by_load.len(), many.by_load.len(), many.score), (1, LOADS, None));
+        assert_eq!((few.by_load.len(), many.by_load.len(), many.score), (1, LOADS, Some(0.5)));
         let heaviest = many.by_load.last().expect("loads");
         assert!((heaviest.factor - 1.25).abs() < 0.03, "{heaviest:?}");
         let (_, few_se) = few.at(20.0).expect("known");
@@ -275,7 +273,7 @@ mod tests {
         // A little better is not enough for another score.
         let mut close = missing_a_fifth(6);
         close[0].line[0] += 1;
-        assert_eq!(fitted(&close).expect("a correction").score, None);
+        assert_eq!(fitted(&close).expect("a correction").score, Some(0.5));
     }
 
     #[test]

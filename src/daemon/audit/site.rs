@@ -3,6 +3,7 @@
 //! Owns the file and when it may be used. Read at the start and at each reload, as the lane table
 //! is.
 
+use crate::daemon::config::Views;
 use crate::daemon::disk;
 use crate::daemon::output::{WholeFile, WriteError};
 use crate::daemon::plain;
@@ -52,6 +53,9 @@ pub struct SiteFile {
     pub model_sha256: String,
     /// Columns and rows of the net's input.
     pub input_px: [usize; 2],
+    /// Parts of a picture that were searched; all of it in files that do not say.
+    #[serde(default)]
+    pub views: Views,
     /// Frames that were counted.
     pub frames: usize,
     /// Vehicles that people counted in them.
@@ -71,6 +75,8 @@ pub struct MadeWith<'a> {
     pub model: [u8; 32],
     /// Columns and rows of the net's input.
     pub input_px: [usize; 2],
+    /// Searched parts of a picture.
+    pub views: Views,
 }
 
 impl SiteFile {
@@ -111,6 +117,11 @@ impl SiteFile {
                 "the net's input was {w}x{h} when it was made and is {columns}x{rows}: {again}"
             ));
         }
+        if self.views != line.views {
+            return Err(format!(
+                "other parts of the picture were searched when it was made (views): {again}"
+            ));
+        }
         let known = |calibration: &[u8; 32]| self.calibration_sha256 == hex(calibration).as_str();
         if !line.calibrations.iter().any(known) {
             return Err(format!("it was made with a lane table of another calibration: {again}"));
@@ -133,15 +144,15 @@ impl SiteFile {
         Ok(())
     }
 
-    /// Writes the file, whole or not at all.
+    /// Writes the file, whole or not at all, and over none of `inputs`.
     ///
     /// # Errors
     /// `WriteError`.
-    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+    pub fn write(&self, path: &Path, inputs: &[&Path]) -> Result<(), WriteError> {
         let failed =
             |error| WriteError { path: path.to_owned(), source: std::io::Error::other(error) };
         let text = toml::to_string(self).map_err(failed)?;
-        let mut file = WholeFile::create(path)?;
+        let mut file = WholeFile::beside(path, inputs)?;
         file.line("# Made by `verge audit`. Holds for this model, input and lane table only.")?;
         file.line(text.trim_end())?;
         file.finish()
@@ -158,6 +169,7 @@ mod tests {
         calibrations: &[[7; 32]],
         model: [3; 32],
         input_px: [800, 608],
+        views: Views::Whole,
     };
 
     fn file() -> SiteFile {
@@ -168,6 +180,7 @@ mod tests {
             calibration_sha256: hex(&[7; 32]).as_str().into(),
             model_sha256: hex(&[3; 32]).as_str().into(),
             input_px: [800, 608],
+            views: Views::Whole,
             frames: 10,
             vehicles: 93,
             correction: SiteCorrection {
@@ -182,7 +195,7 @@ mod tests {
     fn what_is_written_is_read_again() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("site.toml");
-        file().write(&path).expect("writes");
+        file().write(&path, &[]).expect("writes");
         assert_eq!(SiteFile::read(&path, &LINE).expect("reads"), file());
     }
 
@@ -192,6 +205,7 @@ mod tests {
             (MadeWith { camera: "b", ..LINE }, "belongs to camera \"curve\""),
             (MadeWith { model: [4; 32], ..LINE }, "another model"),
             (MadeWith { input_px: [640, 480], ..LINE }, "800x608"),
+            (MadeWith { views: Views::Auto, ..LINE }, "other parts of the picture"),
             (MadeWith { calibrations: &[[8; 32]], ..LINE }, "another calibration"),
         ] {
             let reason = file().check(&line).expect_err(said);

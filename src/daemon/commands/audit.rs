@@ -7,7 +7,7 @@ use super::ModelArgs;
 use super::playback::walk;
 use crate::daemon::assemble::{line_settings, open_frames};
 use crate::daemon::audit::{Answers, Candidate, Counted, FORMAT, SiteFile, choose, fit, template};
-use crate::daemon::config::Config;
+use crate::daemon::config::{Config, Views};
 use crate::daemon::exit::Failure;
 use crate::daemon::frame::Frame;
 use crate::daemon::line::{Line, LineSettings};
@@ -26,7 +26,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     frames: PathBuf,
     /// Configuration of the site, in place of --table and the model's options
-    #[arg(long, value_name = "FILE", required_unless_present = "table", conflicts_with = "table")]
+    #[arg(long, value_name = "FILE", required_unless_present = "table", conflicts_with_all = ["table", "model", "score", "input"])]
     config: Option<PathBuf>,
     /// Lane table, where there is no --config
     #[arg(long, value_name = "FILE")]
@@ -66,7 +66,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     };
     let line = Line::open(&settings)?;
     match (&args.counts, &args.out) {
-        (Some(counts), Some(out)) => learn(args, line, counts, out),
+        (Some(counts), Some(out)) => learn(args, line, settings.views, counts, out),
         _ => choose_frames(args, line),
     }
 }
@@ -100,7 +100,10 @@ fn choose_frames(args: &Args, mut line: Line) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(failed)?;
     let counts = folder.join("counts.csv");
     if counts.exists() {
-        let source = std::io::Error::new(std::io::ErrorKind::AlreadyExists, "it is there already");
+        let source = std::io::Error::new(
+            std::io::ErrorKind::AlreadyExists,
+            "it is there already, with what was counted: give another folder",
+        );
         return Err(Failure::Write { path: counts, source });
     }
     walk(open_frames(&args.frames)?, |frame| {
@@ -125,7 +128,13 @@ fn choose_frames(args: &Args, mut line: Line) -> Result<(), Failure> {
 }
 
 /// Compares what people have counted with what the line counts, and writes the site's file.
-fn learn(args: &Args, mut line: Line, counts: &Path, out: &Path) -> Result<(), Failure> {
+fn learn(
+    args: &Args,
+    mut line: Line,
+    views: Views,
+    counts: &Path,
+    out: &Path,
+) -> Result<(), Failure> {
     let lanes = lanes(&line);
     let numbers: Vec<u8> = lanes.iter().map(|lane| lane.get()).collect();
     let answers = Answers::read(counts, &numbers)?;
@@ -154,11 +163,13 @@ fn learn(args: &Args, mut line: Line, counts: &Path, out: &Path) -> Result<(), F
         calibration_sha256: hex(&table.calibration_sha256).as_str().to_owned(),
         model_sha256: hex(&line.model().sha256).as_str().to_owned(),
         input_px: line.input_size(),
+        views,
         frames: frames.len(),
         vehicles: frames.iter().flat_map(|frame| &frame.people).sum(),
         correction,
     };
-    file.write(out)?;
+    let inputs = [Some(counts), args.table.as_deref(), args.config.as_deref()];
+    file.write(out, &inputs.into_iter().flatten().collect::<Vec<_>>())?;
     if args.json {
         println!("{}", told_json(&file, stated, &frames, &scores));
     } else {
@@ -214,7 +225,8 @@ fn told_json(file: &SiteFile, stated: f32, frames: &[Counted], scores: &[f32]) -
 /// The result, for people.
 fn told(file: &SiteFile, stated: f32, out: &Path) -> String {
     let correction = &file.correction;
-    let score = correction.score.map_or(format!("score {stated} stays"), |score| {
+    let changed = correction.score.filter(|score| *score != stated);
+    let score = changed.map_or(format!("score {stated} stays"), |score| {
         format!("score {score} in place of {stated}")
     });
     let load = |load: &crate::density::LoadBias| {

@@ -107,16 +107,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         Publisher { road_segment: args.road_segment.clone(), country: args.country.clone() };
     let exporter = Exporter::new(args.to.into(), publisher);
     let (name, mut input) = open(args.input.as_deref())?;
-    if let (Some(input), Some(out)) = (&args.input, &args.out)
-        && input
-            .canonicalize()
-            .ok()
-            .is_some_and(|input| out.canonicalize().is_ok_and(|out| out == input))
-    {
-        let source = io::Error::other("it is the input, which would be lost: give another file");
-        return Err(Failure::Write { path: out.clone(), source });
-    }
-    let mut output = Output::open(args.out.as_deref())?;
+    let mut output = Output::open(args.out.as_deref(), args.input.as_deref())?;
     exporter.begin(clock::now().into()).map_or(Ok(()), |head| output.line(&head))?;
     let broken = |source| Failure::Input { path: name.clone(), source };
     // A table of sites has each of them once, as its latest message has it.
@@ -280,9 +271,9 @@ enum Output {
 }
 
 impl Output {
-    fn open(path: Option<&Path>) -> Result<Self, Failure> {
+    fn open(path: Option<&Path>, input: Option<&Path>) -> Result<Self, Failure> {
         Ok(match path {
-            Some(path) => Self::File(WholeFile::create(path)?),
+            Some(path) => Self::File(WholeFile::beside(path, input.as_slice())?),
             None => Self::Stream(io::stdout()),
         })
     }

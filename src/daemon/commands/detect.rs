@@ -6,7 +6,7 @@ use crate::daemon::assemble::open_frames;
 use crate::daemon::exit::Failure;
 use crate::daemon::output::WholeFile;
 use crate::daemon::tableless::Tableless;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 /// Its arguments.
@@ -25,10 +25,17 @@ pub struct Args {
     model: ModelArgs,
 }
 
+/// Endings of pictures' names.
+const PICTURES: [&str; 3] = ["jpg", "jpeg", "png"];
 /// Frames of the first look, spread over the recording.
 const FIRST_LOOK: usize = 48;
 
 pub fn run(args: &Args) -> Result<(), Failure> {
+    let suffix = args.detections.extension().and_then(|suffix| suffix.to_str());
+    if suffix.is_some_and(|suffix| PICTURES.iter().any(|p| p.eq_ignore_ascii_case(suffix))) {
+        let source = io::Error::other("it is JSON Lines and has a picture's name: name it .jsonl");
+        return Err(Failure::Write { path: args.detections.clone(), source });
+    }
     let ModelArgs { model, score, input } = &args.model;
     let mut recorded = open_frames(&args.frames)?;
     let mut line = Tableless::open(model, *score, *input)?;

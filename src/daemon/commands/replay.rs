@@ -100,7 +100,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let mut messages =
         text::Messages::new(&line.preset().table().camera_id, line.model(), recorded.tells_time());
-    let mut detections = args.detections.as_deref().map(WholeFile::create).transpose()?;
+    let inputs = args.table.iter().chain(&args.audit).map(PathBuf::as_path);
+    let inputs: Vec<&Path> = inputs.chain([args.model.model.as_path()]).collect();
+    let detections = args.detections.as_deref().map(|file| WholeFile::beside(file, &inputs));
+    let mut detections = detections.transpose()?;
     let mut short = false;
     let is_moving = matches!(line.following(), Following::On { .. });
     let mut heading = (!args.json).then(|| text::heading(is_moving));

@@ -11,8 +11,8 @@ mod signed;
 
 pub use super::site::Site;
 pub use sections::{
-    Camera, DEFAULT_MODEL, LaneTable, Model, Mqtt, NetInput, Serial, SourceKind, Spool, Traffic,
-    Views, Windows,
+    Camera, DEFAULT_MODEL, INPUT_STEP_PX, LaneTable, MAX_INPUT_PX, Model, Mqtt, NetInput, Serial,
+    SourceKind, Spool, Traffic, Views, Windows,
 };
 
 use crate::daemon::address::{Address, AddressError};

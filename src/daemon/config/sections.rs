@@ -5,7 +5,7 @@ use crate::daemon::foreign::shown;
 use crate::daemon::serial::DEFAULT_BAUD;
 use crate::track::rate::DEFAULT_TOP_KMH;
 use crate::units::LaneId;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -77,7 +77,7 @@ impl Default for Model {
 }
 
 /// Searched parts of a picture.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Views {
     /// The road, and its far part once more where that makes far vehicles as large as near ones.
@@ -97,6 +97,21 @@ pub enum NetInput {
     Px([usize; 2]),
 }
 
+/// Largest side of a net's input, px.
+pub const MAX_INPUT_PX: usize = 4096;
+/// An input of another size than the file's is a multiple of this, px: the cells of stride 32 that
+/// are enlarged meet those of stride 16, and theirs those of stride 8.
+pub const INPUT_STEP_PX: usize = 32;
+
+impl NetInput {
+    /// Whether a net may have an input of so many columns and rows.
+    pub fn is_possible(size: [usize; 2]) -> bool {
+        let is_side =
+            |side: &usize| (1..=MAX_INPUT_PX).contains(side) && side.is_multiple_of(INPUT_STEP_PX);
+        size.iter().all(is_side)
+    }
+}
+
 impl std::str::FromStr for NetInput {
     type Err = String;
 
@@ -104,12 +119,14 @@ impl std::str::FromStr for NetInput {
         let size = text.split_once('x').and_then(|(width, height)| {
             Some(Self::Px([width.parse().ok()?, height.parse().ok()?]))
         });
-        match text {
-            "auto" => Ok(Self::Auto),
-            _ => {
-                let text = shown(text);
-                size.ok_or(format!("\"{text}\": give auto, or columns and rows such as 800x608"))
-            }
+        let shown = shown(text);
+        match (text, size) {
+            ("auto", _) => Ok(Self::Auto),
+            (_, Some(Self::Px(px))) if !Self::is_possible(px) => Err(format!(
+                "\"{shown}\": each side must be a multiple of {INPUT_STEP_PX} up to {MAX_INPUT_PX}"
+            )),
+            (_, Some(size)) => Ok(size),
+            _ => Err(format!("\"{shown}\": give auto, or columns and rows such as 800x608")),
         }
     }
 }

@@ -3,6 +3,7 @@
 //! Owns its keys, its checks, and the list of models that verge knows without one.
 
 use super::head_key::HeadKey;
+use crate::daemon::config::{INPUT_STEP_PX, MAX_INPUT_PX, NetInput};
 use crate::daemon::disk;
 use crate::daemon::plain;
 use crate::daemon::toml_file;
@@ -31,13 +32,6 @@ const KNOWN: &[(&str, &str)] = &[
         include_str!("../../../models/yolox_nano_coco_640x480.toml"),
     ),
 ];
-
-/// Largest side of a model's input, px.
-const MAX_INPUT_PX: usize = 4096;
-
-/// An input of another size than the file's is a multiple of this, px: the cells of stride 32 that
-/// are enlarged meet those of stride 16, and theirs those of stride 8.
-const INPUT_STEP_PX: usize = 32;
 
 /// Why a sidecar cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -249,9 +243,7 @@ impl Sidecar {
     /// Takes an input of `size`, columns and rows, in place of its own.
     pub(super) fn set_input(&mut self, size: [usize; 2], path: &Path) -> Result<(), SidecarError> {
         let [width, height] = size;
-        let wrong =
-            size.iter().any(|side| *side == 0 || *side > MAX_INPUT_PX || side % INPUT_STEP_PX != 0);
-        if wrong {
+        if !NetInput::is_possible(size) {
             return Err(SidecarError::Value {
                 path: path.to_owned(),
                 key: "input",

@@ -4,7 +4,7 @@
 
 use super::Line;
 use crate::daemon::audit::{MadeWith, SiteFile};
-use crate::daemon::config::{NetInput, Views};
+use crate::daemon::config::{ConfigError, NetInput, Views};
 use crate::daemon::detect::regions::{Cars, Parts};
 use crate::daemon::detect::{Detector, LoadOptions};
 use crate::daemon::exit::Failure;
@@ -41,7 +41,7 @@ pub struct LineSettings {
     pub judging: Judging,
     /// Sidecar or model.
     pub model: PathBuf,
-    /// Overrides the model's least score, and the site's.
+    /// Overrides the model's least score; what a site was counted with stands above it.
     pub score: Option<f32>,
     /// Columns and rows of the net's input.
     pub input: NetInput,
@@ -50,6 +50,9 @@ pub struct LineSettings {
     /// Searched parts of a picture.
     pub views: Views,
 }
+
+/// Median side of a car along the lanes, px of the net's input, below which hardly one is found.
+const LEAST_CAR_PX: f32 = 8.0;
 
 impl LineSettings {
     /// For a recording, of whichever camera.
@@ -79,20 +82,33 @@ impl Line {
         let cars = |preset: &Preset| Cars::along(preset.table(), |point| preset.place(point));
         let cars: Vec<Cars> = presets.iter().map(cars).collect();
         let model = Detector::described(&settings.model)?;
+        let smallest_cars = |input: [usize; 2]| {
+            let in_input = |(preset, cars): (&Preset, &Cars)| {
+                let size = preset.table().image_size;
+                let size = (usize::from(size.width), usize::from(size.height));
+                cars.median_px.map(|px| px * vehicles::scale(input, size))
+            };
+            presets.iter().zip(&cars).filter_map(in_input).min_by(f32::total_cmp)
+        };
         let input_px = match settings.input {
             NetInput::Px(size) => size,
             // Of several presets the one with the smallest cars decides.
             NetInput::Auto => {
-                let own = [model.input.width_px, model.input.height_px];
-                let in_input = |(preset, cars): (&Preset, &Cars)| {
-                    let size = preset.table().image_size;
-                    let size = (usize::from(size.width), usize::from(size.height));
-                    cars.median_px.map(|px| px * vehicles::scale(own, size))
-                };
-                let smallest = presets.iter().zip(&cars).filter_map(in_input);
-                model.input_for(smallest.min_by(f32::total_cmp))
+                model.input_for(smallest_cars([model.input.width_px, model.input.height_px]))
             }
         };
+        if let Some(px) = smallest_cars(input_px).filter(|px| *px < LEAST_CAR_PX) {
+            let [width, height] = input_px;
+            let reason = format!(
+                "cars along the lanes have {px:.1} px in an input of {width}x{height}, and below \
+                 {LEAST_CAR_PX} px hardly one is found"
+            );
+            if settings.input != NetInput::Auto {
+                let reason = format!("{reason}: give auto, or a larger one");
+                return Err(ConfigError::Camera { key: "model.input", reason }.into());
+            }
+            log::warn!("{reason}: density will be too low; end the lanes where cars are larger");
+        }
         let options = LoadOptions {
             score: settings.score,
             input_px: Some(input_px),
@@ -105,10 +121,19 @@ impl Line {
             let calibrations: Vec<_> = presets.iter().map(calibrations).collect();
             let camera = presets.active().table().camera_id.as_str();
             let (model, input_px) = (detector.model().sha256, detector.input_size());
-            SiteFile::read(file, &MadeWith { camera, calibrations: &calibrations, model, input_px })
+            let views = settings.views;
+            let calibrations = &calibrations;
+            SiteFile::read(file, &MadeWith { camera, calibrations, model, input_px, views })
         });
         let site = site.transpose()?.map(|file| file.correction);
-        let least = settings.score.or(site.as_ref().and_then(|site| site.score));
+        // The site's factors hold for the score with which it was counted.
+        let counted_with = site.as_ref().and_then(|site| site.score);
+        if let (Some(counted), Some(asked)) = (counted_with, settings.score)
+            && counted != asked
+        {
+            log::warn!("score {asked} is asked for; the audit's {counted} is taken in its place");
+        }
+        let least = counted_with.or(settings.score);
         let vehicles = Vehicles::new(model.evidence, least, input_px);
         let errors = Errors { counting: model.counting, site };
         let sizes: Vec<_> = cars.iter().map(|cars| cars.size).collect();

@@ -4,7 +4,7 @@
 //! table, and how many intervals hold the truth. The truth of a window is summed over its frames
 //! (see `truth.rs`).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -43,6 +43,7 @@ struct Window {
 #[derive(Deserialize)]
 struct Measured {
     lane: u8,
+    frames_used: Option<usize>,
     density_veh_km: Option<f64>,
     density_ci90: Option<[f64; 2]>,
     flow_veh_h: Option<f64>,
@@ -94,7 +95,15 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
     let mut held: [(&str, Held); 4] =
         ["flow", "speed", "density", "time occupancy"].map(|name| (name, Held::default()));
     let header = text.len();
+    let wrong = |reason: String| Failure::Content { path: windows.to_owned(), line: 0, reason };
+    let mut scored = BTreeSet::new();
     for window in lines::<Window>(windows)? {
+        let at = window.from.strftime("%H:%M:%S").to_string();
+        if !scored.insert((window.from, window.to)) {
+            return Err(wrong(format!("the window of {at} is in it twice")).into());
+        }
+        let within = |frame: &&Frame| (window.from..window.to).contains(&frame.time);
+        let known = frames.iter().filter(within).count();
         let mut seconds = 0.0;
         let mut sums: BTreeMap<u8, Sums> = BTreeMap::new();
         // A frame's sums are of the time since the one before it, and count where it lies.
@@ -115,6 +124,14 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
         }
         for lane in &window.lanes {
             let Some(sum) = sums.get(&lane.lane) else { continue };
+            if let Some(used) = lane.frames_used.filter(|used| *used > known) {
+                return Err(wrong(format!(
+                    "the window of {at} was measured over {used} frames, of which {} has {known}; give \
+                     the truth of this recording",
+                    truth.display()
+                ))
+                .into());
+            }
             let area = sum.length_m * seconds;
             let (flow, density) = (sum.distance_m / area * 3600.0, sum.time_s / area * 1000.0);
             let (speed, occupancy) = (sum.distance_m / sum.time_s * 3.6, sum.occupied_s / seconds);
@@ -158,15 +175,11 @@ pub fn table(truth: &Path, windows: &Path) -> Result<String> {
         }
     }
     if text.len() == header {
-        return Err(Failure::Content {
-            path: windows.to_owned(),
-            line: 0,
-            reason: format!(
-                "no window in it has a lane and a time of {}; give what `verge replay --json` printed of \
-                 this recording",
-                truth.display()
-            ),
-        }
+        return Err(wrong(format!(
+            "no window in it has a lane and a time of {}; give what `verge replay --json` printed of \
+             this recording",
+            truth.display()
+        ))
         .into());
     }
     let known = held.iter().filter(|(_, held)| held.all > 0);

@@ -72,7 +72,15 @@ fn a_score_counts_the_intervals_that_hold_the_truth() {
     );
     assert!(rows[0].contains("| 6: - |") && rows[1].contains("| 12: - |"), "{said}");
     // Nothing to score: no window, or those of another recording.
-    for other in [String::new(), window(7, "null")] {
+    let twice = [window(0, "null"), window(0, "null")].join("\n");
+    let longer = window(0, "null").replace("\"lane\":1,", "\"lane\":1,\"frames_used\":30,");
+    let nothing = "no window in it has a lane and a time of";
+    for (other, expected) in [
+        (String::new(), nothing),
+        (window(7, "null"), nothing),
+        (twice, "is in it twice"),
+        (longer, "measured over 30 frames"),
+    ] {
         std::fs::write(&windows, other).expect("writing");
         let output = Command::new(env!("CARGO_BIN_EXE_street"))
             .args(["score", "--truth", &truth.display().to_string()])
@@ -81,6 +89,6 @@ fn a_score_counts_the_intervals_that_hold_the_truth() {
             .expect("it runs");
         assert_eq!(output.status.code(), Some(65));
         let said = String::from_utf8(output.stderr).expect("text");
-        assert!(said.contains("no window in it has a lane and a time of"), "{said}");
+        assert!(said.contains(expected), "{said}");
     }
 }

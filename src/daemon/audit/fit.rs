@@ -112,9 +112,12 @@ pub fn fit(
     let (dispersion, freedom) = dispersion(&loads, score);
     let wider = STUDENT.get(freedom.max(1) - 1).copied().unwrap_or(1.0 + 1.0 / freedom as f32);
     let biases = loads.iter().filter_map(|load| bias(load, score, dispersion, wider, relative));
-    let score_then = scores.get(score).copied();
-    let mut correction =
-        SiteCorrection { score: score_then, by_load: heapless::Vec::new(), vehicles_se: vehicles };
+    let counted_with = scores.get(score).copied();
+    let mut correction = SiteCorrection {
+        score: counted_with,
+        by_load: heapless::Vec::new(),
+        vehicles_se: vehicles,
+    };
     for bias in biases {
         // Loads that the line counts alike are one.
         if correction.by_load.last().is_none_or(|last| last.counted < bias.counted) {

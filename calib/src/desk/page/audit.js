@@ -220,6 +220,7 @@ function field(desk, now, lane, l) {
 function outcome(now) {
   const result = /** @type {NonNullable<AuditState["result"]>} */ (now.result);
   const { correction, frames } = result;
+  const [stated, found] = [result.stated_score, correction.score ?? result.stated_score].map((x) => x.toFixed(2));
   const said = correction.by_load.map(({ counted, factor, factor_se }) => {
     const off = 1.645 * factor_se;
     return el("tr", {},
@@ -230,7 +231,7 @@ function outcome(now) {
   return [
     el("div", { class: "card good", id: "audited" },
       el("b", { text: `Audited with ${frames.length} pictures and ${result.vehicles} vehicles. ` }),
-      correction.score === null ? `Boxes count from a score of ${result.stated_score}, as the model has it.` : `Boxes count from a score of ${correction.score} here, in place of ${result.stated_score}.`,
+      found === stated ? `Boxes count from a score of ${stated}, as the model has it.` : `Boxes count from a score of ${found} here, in place of ${stated}.`,
       el("div", { class: "dim" }, "Saved as ", el("code", { text: "audit.toml" }), ", named in ", el("code", { text: "verge.toml" }), ".")),
     said.length
       ? el("table", { id: "loads" }, el("tr", {}, el("th", { text: "vehicles counted" }), el("th", { text: "are" }), el("th", { text: "with 90 % in" })), ...said)

@@ -223,7 +223,7 @@ fn the_factors_hold_for_the_score_and_the_views_with_which_they_were_counted() {
     let out = site.folder.path().join("site.toml");
     let output = site.learn(&answers(&names, |_, _, n| n), &out);
     assert!(output.status.success(), "{}", stderr(&output));
-    // Another score that is asked for gives way, and is told of.
+    // The audit's score wins over --score, with a warning.
     let plain = site.replay(&["--audit", text(&out)]);
     let asked = site.replay(&["--audit", text(&out), "--score", "0.95"]);
     assert_eq!(asked["lanes"], plain["lanes"]);
@@ -232,7 +232,7 @@ fn the_factors_hold_for_the_score_and_the_views_with_which_they_were_counted() {
         verge(&[&args, more].concat())
     };
     let said = stderr(&replay(&["--audit", text(&out), "--score", "0.95"]));
-    assert!(said.contains("score 0.95 is asked for; the audit's "), "{said}");
+    assert!(said.contains("ignoring score 0.95: the audit was made with "), "{said}");
     let output = replay(&["--audit", text(&out), "--views", "auto"]);
     assert_eq!(output.status.code(), Some(65));
     assert!(stderr(&output).contains("other parts of the picture"), "{}", stderr(&output));

@@ -22,7 +22,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 /// The same, where the output may not be one of the `inputs` from which it was made.
 ///
 /// # Errors
-/// [`Failure::Write`]; an old file is then as it was.
+/// [`Failure::Lost`] where it is, and [`Failure::Write`]; an old file is then as it was.
 pub fn write_whole_beside(
     path: &Path,
     bytes: &[u8],

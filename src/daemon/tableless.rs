@@ -29,7 +29,7 @@ pub struct Tableless {
     size: Option<CarSize>,
     scene: Scene,
     pictures: i64,
-    /// Columns and rows of the first picture, and whether others have been told of.
+    /// Columns and rows of the first picture, and whether the log names one of another size.
     shape: Option<(usize, usize)>,
     has_warned: bool,
 }

@@ -131,7 +131,7 @@ impl Line {
         if let (Some(counted), Some(asked)) = (counted_with, settings.score)
             && counted != asked
         {
-            log::warn!("score {asked} is asked for; the audit's {counted} is taken in its place");
+            log::warn!("ignoring score {asked}: the audit was made with {counted}");
         }
         let least = counted_with.or(settings.score);
         let vehicles = Vehicles::new(model.evidence, least, input_px);

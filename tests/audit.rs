@@ -161,8 +161,8 @@ fn contradictory_answers_are_refused_with_their_reason() {
         ),
         (answers(&names[..2], |_, _, n| n), "2 frames are counted"),
         (
-            answers(&names, |_, _, n| n).replace(busy, "20010101T000000Z.jpg"),
-            "not among the recorded frames",
+            answers(&names, |_, _, n| n).replace(names[1], "20010101T000000Z.jpg"),
+            "counts.csv, line 6: frame 20010101T000000Z.jpg is not in ",
         ),
     ] {
         let output = site.learn(&counts, &out);
@@ -188,6 +188,32 @@ fn a_sheet_has_pictures_and_a_file_to_fill_in() {
     assert_eq!(pictures.count(), 4);
     // A sheet that someone has begun to fill in stays.
     assert_eq!(site.audit(&["--choose", "4", "--sheet", text(&sheet)]).status.code(), Some(73));
+    let frames = ["replay", "--table", STREET_TABLE, "--frames", text(&site.frames)];
+    let replay = |more: &[&str]| verge(&[&frames, more].concat());
+    let output = replay(&["--overlay", text(&sheet)]);
+    assert_eq!(output.status.code(), Some(73), "{}", stderr(&output));
+    assert!(stderr(&output).contains("the sheet of an audit lies there"), "{}", stderr(&output));
+    let output = replay(&["--audit", "x.toml", "--anchor", "box-centre"]);
+    assert_eq!(output.status.code(), Some(64), "{}", stderr(&output));
+}
+
+#[test]
+fn a_sheet_needs_as_many_frames_as_an_audit() {
+    let folder = folder();
+    let frames = frames(folder.path(), 61);
+    let sheet = folder.path().join("sheet");
+    let output = verge(&[
+        "audit",
+        "--table",
+        STREET_TABLE,
+        "--frames",
+        text(&frames),
+        "--sheet",
+        text(&sheet),
+    ]);
+    assert_eq!(output.status.code(), Some(65), "{}", stderr(&output));
+    assert!(stderr(&output).contains("an audit takes 3 at least"), "{}", stderr(&output));
+    assert!(!sheet.exists(), "nothing is half-written");
 }
 
 #[test]

@@ -315,11 +315,16 @@ fn flow_and_speed_have_columns_where_vehicles_are_followed() {
 #[test]
 fn a_table_of_another_shape_is_refused() {
     let folder = folder();
-    std::fs::write(folder.path().join("a.jpg"), jpeg(640, 360, 9)).expect("writing a frame");
+    for name in ["a.jpg", "b.jpg", "c.jpg"] {
+        std::fs::write(folder.path().join(name), jpeg(640, 360, 9)).expect("writing a frame");
+    }
     let (code, said) =
         fails(&["--table", K109F_TABLE, "--frames", text(folder.path()), "--interval", "9"]);
     assert_eq!(code, 65, "{said}");
     assert!(said.contains("640x360") && said.contains("K109F"), "{said}");
+    // One fault of all frames is told once, with their number.
+    assert!(said.contains("frame a.jpg is left out") && !said.contains("frame b.jpg"), "{said}");
+    assert!(said.contains("2 more frames are left out"), "{said}");
 }
 
 #[test]

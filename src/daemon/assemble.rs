@@ -2,7 +2,7 @@
 //!
 //! Owns what each key of the configuration becomes. No other file gives a stage its settings.
 
-use super::address::{Address, AddressError};
+use super::address::{Address, SCHEMES};
 use super::capture::{
     CameraSettings, Credentials, DEFAULT_SIZE, DeviceSettings, Recorded, Source, SourceSettings,
     utc_offset,
@@ -163,9 +163,13 @@ pub fn camera_at(source: &str, interval: Duration) -> Result<SourceSettings, Fai
         let (path, size, timeout) = (source.into(), DEFAULT_SIZE, TIMEOUT);
         return Ok(SourceSettings::Device(DeviceSettings { path, size, interval, timeout }));
     }
-    let wrong =
-        |error: AddressError| ConfigError::Camera { key: "--camera", reason: error.to_string() };
-    let address = Address::parse(source).map_err(wrong)?;
+    let wrong = |reason| ConfigError::Camera { key: "--camera", reason };
+    if !source.contains("://") {
+        let schemes = SCHEMES.join(", ");
+        let reason = format!("it begins neither with {schemes} nor with /dev/");
+        return Err(wrong(reason).into());
+    }
+    let address = Address::parse(source).map_err(|error| wrong(error.to_string()))?;
     Ok(SourceSettings::Network(CameraSettings::new(address, interval, TIMEOUT)))
 }
 

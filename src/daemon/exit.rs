@@ -3,7 +3,7 @@
 //! Owns the mapping from errors to exit codes (`sysexits.h`), so that a supervisor can tell
 //! a wrong file from a missing one without reading the message.
 
-use super::audit::{AnswersError, FitError, SiteError};
+use super::audit::{AnswersError, FitError, LEAST_FRAMES, SiteError};
 use super::capture::{CaptureError, DeviceError, RecordingError, SourceError};
 use super::config::ConfigError;
 use super::detect::{DetectError, ModelError, SidecarError};
@@ -51,13 +51,16 @@ pub enum Failure {
     /// Counts that contradict what is seen, or are too few.
     #[error("the answers cannot be used: {0}")]
     Audit(#[from] FitError),
-    /// A frame that was counted and is not there, or cannot be measured.
-    #[error("frame {frame} was counted and {reason}")]
-    CountedFrame {
-        /// Its name.
-        frame: String,
-        /// The fault.
-        reason: &'static str,
+    /// A recording with too few frames for an audit.
+    #[error(
+        "{}: {measured} frames can be measured, and an audit takes {LEAST_FRAMES} at least: record more",
+        frames.display()
+    )]
+    FewToCount {
+        /// The recording.
+        frames: PathBuf,
+        /// Frames that can be measured.
+        measured: usize,
     },
     /// The model does not say how cameras differ.
     #[error(
@@ -231,7 +234,7 @@ impl Exit for Failure {
             | Self::Site(SiteError::Read { source, .. })
             | Self::Answers(AnswersError::Read { source, .. }) => unread(source, DATAERR),
             Self::Site(_) | Self::Answers(_) | Self::Audit(_) => DATAERR,
-            Self::CountedFrame { .. } | Self::NoCounting => DATAERR,
+            Self::FewToCount { .. } | Self::NoCounting => DATAERR,
             Self::Messages { .. } | Self::NodeSettings { .. } => DATAERR,
             Self::InputForm { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,

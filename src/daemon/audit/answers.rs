@@ -8,6 +8,8 @@ use crate::daemon::{disk, plain};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// Name of the file on a sheet.
+pub const SHEET: &str = "counts.csv";
 /// Heading of the file.
 pub const HEADING: &str = "frame,lane,vehicles";
 /// More vehicles than any lane holds in one picture: a slip of the pen.
@@ -48,7 +50,18 @@ pub enum AnswersError {
 
 /// Vehicles by lane, by the frame's name.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Answers(BTreeMap<String, BTreeMap<u8, u32>>);
+pub struct Answers {
+    path: PathBuf,
+    frames: BTreeMap<String, Answer>,
+}
+
+/// Vehicles by lane in one frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Answer {
+    /// The first line about the frame.
+    line: usize,
+    lanes: BTreeMap<u8, u32>,
+}
 
 impl Answers {
     /// Reads a file about a table with these lanes. Frames without any number are left out: the
@@ -63,7 +76,7 @@ impl Answers {
     }
 
     fn parse(text: &str, path: &Path, lanes: &[u8]) -> Result<Self, AnswersError> {
-        let mut frames: BTreeMap<String, BTreeMap<u8, u32>> = BTreeMap::new();
+        let mut frames: BTreeMap<String, Answer> = BTreeMap::new();
         let mut heading = false;
         for (number, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
             let wrong = |reason: String| AnswersError::Line {
@@ -113,13 +126,16 @@ impl Answers {
                     shown(vehicles)
                 )));
             };
-            if frames.entry(frame.to_owned()).or_default().insert(lane, count).is_some() {
+            let answer = frames
+                .entry(frame.to_owned())
+                .or_insert_with(|| Answer { line: number + 1, ..Answer::default() });
+            if answer.lanes.insert(lane, count).is_some() {
                 return Err(wrong(format!("lane {lane} of {frame} was given before")));
             }
         }
         let missing = |reason| AnswersError::Missing { path: path.to_owned(), reason };
         for (frame, counted) in &frames {
-            if let Some(lane) = lanes.iter().find(|lane| !counted.contains_key(lane)) {
+            if let Some(lane) = lanes.iter().find(|lane| !counted.lanes.contains_key(lane)) {
                 let reason = format!(
                     "{frame} has no count of lane {lane}: count all of its lanes (0 where none \
                      stands), or none of them"
@@ -130,18 +146,27 @@ impl Answers {
         if frames.is_empty() {
             return Err(missing("no frame is counted".to_owned()));
         }
-        Ok(Self(frames))
+        Ok(Self { path: path.to_owned(), frames })
     }
 
     /// Names of the frames.
     pub fn frames(&self) -> impl Iterator<Item = &str> {
-        self.0.keys().map(String::as_str)
+        self.frames.keys().map(String::as_str)
     }
 
     /// Vehicles in each of these lanes of a frame; `None` where it was not counted.
     pub fn of(&self, frame: &str, lanes: &[u8]) -> Option<Vec<u32>> {
-        let counted = self.0.get(frame)?;
+        let counted = &self.frames.get(frame)?.lanes;
         Some(lanes.iter().map(|lane| counted.get(lane).copied().unwrap_or(0)).collect())
+    }
+
+    /// Why a frame's answer is of no use, with the place where it stands.
+    pub fn wrong(&self, frame: &str, reason: &str) -> AnswersError {
+        AnswersError::Line {
+            path: self.path.clone(),
+            line: self.frames.get(frame).map_or(0, |answer| answer.line),
+            reason: format!("frame {} {reason}", shown(frame)),
+        }
     }
 }
 

@@ -8,7 +8,7 @@ mod choice;
 mod fit;
 mod site;
 
-pub use answers::{Answers, AnswersError, template};
+pub use answers::{Answers, AnswersError, SHEET, template};
 pub use choice::{Candidate, choose};
-pub use fit::{Counted, FitError, fit};
+pub use fit::{Counted, FitError, LEAST_FRAMES, fit};
 pub use site::{FORMAT, MadeWith, SiteError, SiteFile};

@@ -6,7 +6,9 @@
 use super::ModelArgs;
 use super::playback::walk;
 use crate::daemon::assemble::{line_settings, open_frames};
-use crate::daemon::audit::{Answers, Candidate, Counted, FORMAT, SiteFile, choose, fit, template};
+use crate::daemon::audit::{
+    Answers, Candidate, Counted, FORMAT, LEAST_FRAMES, SHEET, SiteFile, choose, fit, template,
+};
 use crate::daemon::config::{Config, Views};
 use crate::daemon::exit::Failure;
 use crate::daemon::frame::Frame;
@@ -91,6 +93,9 @@ fn choose_frames(args: &Args, mut line: Line) -> Result<(), Failure> {
         Ok(())
     })?;
     let chosen = choose(&candidates, usize::from(args.choose));
+    if chosen.len() < LEAST_FRAMES {
+        return Err(Failure::FewToCount { frames: args.frames.clone(), measured: chosen.len() });
+    }
     let chosen: Vec<&str> = chosen.iter().map(|&n| candidates[n].name.as_str()).collect();
     let Some(folder) = &args.sheet else {
         chosen.iter().for_each(|name| println!("{name}"));
@@ -98,7 +103,7 @@ fn choose_frames(args: &Args, mut line: Line) -> Result<(), Failure> {
     };
     let failed = |source| Failure::Write { path: folder.clone(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;
-    let counts = folder.join("counts.csv");
+    let counts = folder.join(SHEET);
     if counts.exists() {
         let source = std::io::Error::new(
             std::io::ErrorKind::AlreadyExists,
@@ -148,12 +153,14 @@ fn learn(
         let Some(people) = answers.of(&frame.name, &numbers) else {
             return line.measure(frame, &mut |_| ()).map(|_| ());
         };
-        frames.push(compare(&mut line, frame, people, &lanes, &asked)?);
+        let compared = compare(&mut line, frame, people, &lanes, &asked)?;
+        let unfit = "is not fit to be measured: count another";
+        frames.push(compared.ok_or_else(|| answers.wrong(&frame.name, unfit))?);
         Ok(())
     })?;
     if let Some(absent) = answers.frames().find(|name| frames.iter().all(|f| f.frame != *name)) {
-        let reason = "is not among the recorded frames, or cannot be measured";
-        return Err(Failure::CountedFrame { frame: absent.to_owned(), reason });
+        let reason = format!("is not in {}, or cannot be measured", args.frames.display());
+        return Err(answers.wrong(absent, &reason).into());
     }
     let correction = fit(&frames, &numbers, &scores, 0, &cameras)?;
     let table = line.preset().table();
@@ -178,28 +185,26 @@ fn learn(
     Ok(())
 }
 
+/// A frame counted twice; `None` where the line does not measure it.
 fn compare(
     line: &mut Line,
     frame: &Frame,
     people: Vec<u32>,
     lanes: &[LaneId],
     scores: &[f32],
-) -> Result<Counted, Failure> {
+) -> Result<Option<Counted>, Failure> {
     let mut counts = line.count_with(frame, scores)?;
-    let Some(sure) = counts.pop() else {
-        let reason = "is not fit to be measured: count another";
-        return Err(Failure::CountedFrame { frame: frame.name.clone(), reason });
-    };
+    let Some(sure) = counts.pop() else { return Ok(None) };
     let total = |counts: &crate::density::FrameCounts| {
         lanes.iter().map(|&lane| counts.vehicles(lane)).sum()
     };
-    Ok(Counted {
+    Ok(Some(Counted {
         frame: frame.name.clone(),
         people,
         sure: lanes.iter().map(|&lane| sure.vehicles(lane)).collect(),
         line: counts.iter().map(total).collect(),
         is_night: line.scene().is_some_and(|scene| scene.light() == Light::Night),
-    })
+    }))
 }
 
 /// The result, for a program: the line's counts are those with the site's score.

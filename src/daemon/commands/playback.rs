@@ -88,7 +88,7 @@ pub fn walk(
     while let Some(captured) = player.next() {
         match captured.and_then(|()| on_frame(&player.frame)) {
             Ok(()) => player.measured += 1,
-            Err(fault @ (Failure::CountedFrame { .. } | Failure::Write { .. })) => {
+            Err(fault @ (Failure::Answers(_) | Failure::Write { .. })) => {
                 return Err(fault);
             }
             Err(fault) => player.note(&fault),
@@ -104,6 +104,8 @@ struct Player {
     frames: usize,
     measured: usize,
     first_fault: Option<String>,
+    /// The fault logged last, and how many more frames had it.
+    repeated: Option<(String, usize)>,
     /// The words logged last about the frames.
     said: Option<&'static str>,
 }
@@ -112,7 +114,15 @@ impl Player {
     fn new(recorded: Recorded) -> Self {
         let frames = recorded.frames();
         let source = Source::Recorded(recorded);
-        Self { source, frame: Frame::default(), frames, measured: 0, first_fault: None, said: None }
+        Self {
+            source,
+            frame: Frame::default(),
+            frames,
+            measured: 0,
+            first_fault: None,
+            repeated: None,
+            said: None,
+        }
     }
 
     /// Fills `frame` with the next picture; `None` at the end.
@@ -147,14 +157,29 @@ impl Player {
     }
 
     fn note(&mut self, fault: &Failure) {
-        let (name, fault) = (&self.frame.name, fault.to_string());
+        let (name, fault) = (self.frame.name.clone(), fault.to_string());
         let what = fault.strip_prefix(&format!("{name}: ")).unwrap_or(&fault);
-        log::warn!("frame {name} is left out: {what}");
+        match &mut self.repeated {
+            Some((said, more)) if said == what => *more += 1,
+            _ => {
+                self.tell_repeated();
+                log::warn!("frame {name} is left out: {what}");
+                self.repeated = Some((what.to_owned(), 0));
+            }
+        }
         self.first_fault.get_or_insert(fault);
     }
 
+    /// Says how many frames had the fault that was logged last, and forgets it.
+    fn tell_repeated(&mut self) {
+        if let Some((what, more @ 1..)) = self.repeated.take() {
+            log::warn!("{more} more frames are left out: {what}");
+        }
+    }
+
     /// A recording of which nothing could be measured is an error.
-    fn finish(self) -> Result<(), Failure> {
+    fn finish(mut self) -> Result<(), Failure> {
+        self.tell_repeated();
         match self.first_fault {
             Some(first) if self.measured == 0 => {
                 Err(Failure::NothingMeasured { frames: self.frames, first })

@@ -3,6 +3,7 @@
 use super::playback::{Played, play};
 use super::{ModelArgs, text};
 use crate::daemon::assemble::open_recording;
+use crate::daemon::audit::SHEET;
 use crate::daemon::config::Views;
 use crate::daemon::dates::Dates;
 use crate::daemon::exit::Failure;
@@ -66,8 +67,8 @@ pub struct Args {
     /// The site's own file, made by `verge audit`
     #[arg(long, value_name = "FILE")]
     audit: Option<PathBuf>,
-    /// Point of a box that is the vehicle's place
-    #[arg(long, value_enum, default_value_t)]
+    /// Point of a box that is the vehicle's place; an audit holds for the default alone
+    #[arg(long, value_enum, default_value_t, conflicts_with = "audit")]
     anchor: Anchor,
 }
 
@@ -151,6 +152,13 @@ impl<'a> Overlays<'a> {
             return Err(failed(std::io::Error::new(
                 ErrorKind::AlreadyExists,
                 "the frames lie there; give another folder",
+            )));
+        }
+        if folder.join(SHEET).exists() {
+            return Err(failed(std::io::Error::new(
+                ErrorKind::AlreadyExists,
+                "the sheet of an audit lies there, whose pictures have the same names; give another \
+                 folder",
             )));
         }
         Ok(Self(folder))

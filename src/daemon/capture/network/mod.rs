@@ -163,7 +163,7 @@ pub enum Fault {
     LoginUnknown(String),
     /// It leads to another host.
     #[error(
-        "the camera redirects to {host}: give that address in camera.source, or allow the host in \
+        "the camera redirects to {host}: give that address, or allow the host in \
          camera.redirect_hosts"
     )]
     RedirectedAway {
@@ -203,7 +203,7 @@ pub enum Fault {
 const fn hint(status: u16) -> &'static str {
     match status {
         401 | 403 => "; check camera.user and camera.password_file, and what this user may see",
-        404 | 410 => "; check the path in camera.source",
+        404 | 410 => "; check the path in the address",
         429 | 503 => "; the camera is busy: ask it less often (camera.interval_s)",
         454 | 461 | 463 => "; the camera does not play this",
         _ => "",

@@ -5,6 +5,7 @@
 //! has their meaning. Memory is bounded whatever comes, and behind something that is not JSON the
 //! next line begins afresh.
 
+use crate::presence::Presence;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Map, Value};
@@ -254,7 +255,11 @@ fn is_of_another_kind(line: &str) -> bool {
     let mut words = line.split_ascii_whitespace();
     let has_topic =
         words.next().is_some_and(|topic| topic.contains('/') && !topic.starts_with('/'));
-    has_topic && matches!(words.next(), None | Some("online" | "offline" | "(null)"))
+    has_topic && words.next().is_none_or(|word| word == "(null)" || is_presence(word))
+}
+
+fn is_presence(text: &str) -> bool {
+    Presence::ALL.iter().any(|presence| presence.text() == text)
 }
 
 fn not_json(line: &str) -> String {
@@ -308,7 +313,7 @@ fn is_other(value: &Value) -> bool {
         || fields.contains_key("topic")
             && fields.get("payload").is_none_or(|payload| match payload {
                 Value::Null => true,
-                Value::String(text) => matches!(text.as_str(), "" | "online" | "offline"),
+                Value::String(text) => text.is_empty() || is_presence(text),
                 _ => false,
             })
 }

@@ -143,6 +143,7 @@ impl Address {
             };
             own(encode(&format!("{folder}{location}")))
         };
+        let there = Self { target: without_dots(&there.target), ..there };
         let target = there.target.split('#').next().unwrap_or("/").to_owned();
         Ok(Self { protocol: self.protocol, login: self.login.clone(), target, ..there })
     }
@@ -209,6 +210,23 @@ impl fmt::Debug for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Address({self})")
     }
+}
+
+/// A target without `.` and `..` in its path (RFC 3986, section 5.2.4).
+fn without_dots(target: &str) -> String {
+    let end = target.find(['?', '#']).unwrap_or(target.len());
+    let (path, rest) = target.split_at(end);
+    let mut kept: Vec<&str> = Vec::new();
+    for part in path.split('/').skip(1) {
+        match part {
+            "." => {}
+            ".." => _ = kept.pop(),
+            part => kept.push(part),
+        }
+    }
+    let is_folder = path.ends_with("/.") || path.ends_with("/..");
+    let slash = if is_folder && !kept.is_empty() { "/" } else { "" };
+    format!("/{}{slash}{rest}", kept.join("/"))
 }
 
 /// A source as it may be shown: an address without login and query, anything else as it is.

@@ -65,6 +65,9 @@ fn redirects_keep_the_login_at_home() {
     for (location, target, shares) in [
         ("/x", "/x", true),
         ("x?y", "/a/x?y", true),
+        ("../x", "/x", true),
+        ("./x/../y/.?z=..", "/a/y/?z=..", true),
+        ("/../../x", "/x", true),
         ("?y", "/a/b?y", true),
         ("https://camera/x", "/x", true),
         ("https://camera:8443/x", "/x", false),

@@ -106,7 +106,7 @@ const PAGES: &[Page] = &[
     Page {
         command: "collect",
         files: &[],
-        exits: &[UNAVAILABLE, SOFTWARE, CANTCREAT, CONFIG],
+        exits: &[DATAERR, UNAVAILABLE, SOFTWARE, CANTCREAT, CONFIG],
         examples: &[(
             "verge collect --camera http://192.0.2.7/snapshot.jpg --frames frames --for 3600",
             "A picture every ten seconds, for an hour.",

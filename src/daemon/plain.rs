@@ -27,6 +27,16 @@ const KINDS: [(&[u8], &str); 9] = [
 /// # Errors
 /// The system's error, or one that names another kind of file, or a larger one.
 pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    read_into(path, most, &mut bytes).map(|()| bytes)
+}
+
+/// The same, in place of what `bytes` holds.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_into(path: &Path, most: u64, bytes: &mut Vec<u8>) -> io::Result<()> {
+    bytes.clear();
     // The opened file is judged, not the name: that may be another file's a moment later.
     let flags = i32::try_from(OFlags::NONBLOCK.bits()).unwrap_or(0);
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
@@ -45,9 +55,8 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
         return Err(too_large(metadata.len()));
     }
     // Files of the kernel say that they are empty.
-    let mut bytes = Vec::new();
-    file.take(most + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most { Err(too_large(bytes.len() as u64)) } else { Ok(bytes) }
+    file.take(most + 1).read_to_end(bytes)?;
+    if bytes.len() as u64 > most { Err(too_large(bytes.len() as u64)) } else { Ok(()) }
 }
 
 /// The text of a plain file of at most `most` bytes, without a byte order mark.

@@ -226,6 +226,9 @@ impl Marks {
                     "mark {number} has a point that is not a number"
                 )));
             }
+            if mark.points.windows(2).any(|w| w[0] == w[1]) {
+                return Err(Error::Marks(format!("mark {number} has two points at one place")));
+            }
             let length = mark.segment_length_m;
             if !(length > 0.0 && length.is_finite()) {
                 return Err(Error::Marks(format!("mark {number} has segments of {length} m")));

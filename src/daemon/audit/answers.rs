@@ -200,7 +200,8 @@ mod tests {
         assert_eq!(answers.frames().collect::<Vec<_>>(), ["a.jpg"]);
         assert_eq!(answers.of("a.jpg", &[1, 2]), Some(vec![3, 0]));
         assert_eq!(answers.of("b.jpg", &[1, 2]), None);
-        let spreadsheet = "\u{feff}frame;lane;vehicles\r\n\"a.jpg\";1;3\r\na.jpg;2;0\r\n";
+        let spreadsheet =
+            "\u{feff}# curve\r\nframe;lane;vehicles\r\n\"a.jpg\";1;3\r\na.jpg;2;0\r\n";
         assert_eq!(parse(spreadsheet).expect("right"), answers);
     }
 

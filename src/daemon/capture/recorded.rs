@@ -6,11 +6,11 @@
 
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
-use crate::daemon::{clock, dates::Dates, disk, foreign::shown, frame::Frame};
+use crate::daemon::{clock, dates::Dates, disk, foreign::shown, frame::Frame, plain};
 use crate::units::UtcMs;
 use std::collections::BTreeSet;
-use std::fs::{self, File};
-use std::io::{ErrorKind, Read};
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -185,13 +185,10 @@ impl Recorded {
         frame.time = if self.for_ever { clock::now() } else { *time };
         frame.name.clone_from(name);
         let read = |source| CaptureError::Read { path: path.clone(), source };
-        self.bytes.clear();
-        let file = File::open(path).map_err(read)?;
-        file.take(MAX_PICTURE_BYTES as u64 + 1).read_to_end(&mut self.bytes).map_err(read)?;
-        let decoded = if self.bytes.len() > MAX_PICTURE_BYTES {
-            Err(DecodeError::TooManyBytes)
-        } else {
-            decode(&self.bytes, &mut frame.picture)
+        let decoded = match plain::read_into(path, MAX_PICTURE_BYTES as u64, &mut self.bytes) {
+            Ok(()) => decode(&self.bytes, &mut frame.picture),
+            Err(error) if error.kind() == ErrorKind::FileTooLarge => Err(DecodeError::TooManyBytes),
+            Err(error) => return Err(read(error)),
         };
         decoded.map_err(|source| CaptureError::Decode { name: name.clone(), source })?;
         Ok(Captured::New)

@@ -80,7 +80,9 @@ impl Snapshot {
             headers.into_iter().filter_map(|(name, value)| Some((name, value?))).collect();
         let Answer { head, mut body } = self.client.get(&headers, self.settings.timeout)?;
         if head.status == 304 {
-            return Ok(None);
+            // Of a picture that it never gave, or that was asked for without a condition, it is none.
+            let status = Fault::Status { protocol: "HTTP", status: 304 };
+            return if last.is_some() { Ok(None) } else { Err(at(status)) };
         }
         let content_type = head.content_type();
         if content_type.starts_with("multipart/") || MOTION_JPEG.contains(&content_type.as_str()) {

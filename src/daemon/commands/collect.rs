@@ -62,6 +62,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     std::fs::create_dir_all(&args.frames).map_err(failed)?;
     let (begun, mut frame) = (Instant::now(), Frame::default());
     let (mut next, mut collected) = (begun, 0_usize);
+    let (mut unchanged, mut failed, mut said) = (0_usize, 0_usize, String::new());
     while begun.elapsed() <= args.length {
         match source.next(&mut frame) {
             Ok(Captured::New) => {
@@ -72,10 +73,17 @@ pub fn run(args: &Args) -> Result<(), Failure> {
                     return Ok(());
                 }
             }
-            Ok(Captured::Unchanged) => {}
+            Ok(Captured::Unchanged) => unchanged += 1,
             Ok(Captured::End) => break,
             Err(fault) if collected == 0 => return Err(fault.into()),
-            Err(fault) => eprintln!("verge: {fault}"),
+            Err(fault) => {
+                failed += 1;
+                let fault = fault.to_string();
+                if fault != said {
+                    eprintln!("verge: {fault}");
+                    said = fault;
+                }
+            }
         }
         next = (next + args.interval).max(Instant::now());
         let end = begun + args.length;
@@ -83,6 +91,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         if next > end {
             break;
         }
+    }
+    if unchanged + failed > 0 {
+        eprintln!(
+            "verge: {collected} pictures in {}; the camera was asked {} times, gave the picture before \
+             {unchanged} times and none {failed} times",
+            args.frames.display(),
+            collected + unchanged + failed
+        );
     }
     Ok(())
 }

@@ -12,12 +12,15 @@ use super::record::{self, HEAD, Record, Scan};
 use rustix::fs::OFlags;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 /// Length of a segment, bytes: room for some 120 windows of eight lanes with all cells. Tests
 /// fill many.
 pub(super) const SEGMENT: usize = if cfg!(test) { 16 } else { 256 } * 1024;
+
+/// Reason of an append to a file that has no name any more.
+const REMOVED: &str = "its folder was removed, or the file in it";
 
 /// One file of the spool.
 #[derive(Debug)]
@@ -115,8 +118,15 @@ impl Segment {
     }
 
     /// Appends bytes of records and returns where they begin; they are on the disk then.
+    ///
+    /// # Errors
+    /// The system's, and [`io::ErrorKind::NotFound`] for a file that somebody has removed: what is
+    /// written there is gone when the program ends.
     pub(super) fn append(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let file = self.file.as_ref().ok_or(io::ErrorKind::NotFound)?;
+        if file.metadata()?.nlink() == 0 {
+            return Err(io::Error::new(io::ErrorKind::NotFound, REMOVED));
+        }
         file.write_all_at(bytes, self.end as u64)?;
         file.sync_data()?;
         let start = self.end;

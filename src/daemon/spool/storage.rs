@@ -32,7 +32,11 @@ impl Spool {
         record.write(&mut bytes).ok_or(io::ErrorKind::InvalidData)?;
         self.make_room(key, bytes.len() + MAX_KEYS * 8 + 9)?;
         self.write_taken(&mut bytes);
-        let (segment, offset) = self.append(&bytes)?;
+        let (segment, offset) = self.append(&bytes).inspect_err(|error| {
+            if error.kind() == io::ErrorKind::NotFound {
+                self.rescue();
+            }
+        })?;
         // Making room may have removed older ones.
         if let Some(index) = self.find(key) {
             self.entries[index].place = Place::Disk { segment, offset };
@@ -124,6 +128,20 @@ impl Spool {
             }
         }
         Checkpoint { next_key: key, last_seq }
+    }
+
+    /// Somebody has removed the folder: what can still be read of it is kept in memory, until it is
+    /// written to a new one.
+    fn rescue(&mut self) {
+        for entry in &mut self.entries {
+            let Place::Disk { segment, offset } = entry.place else { continue };
+            let read = self.segments.get(&segment).map(|segment| segment.read(offset));
+            if let Some(Ok(Some(Record::Window { message, .. }))) = read {
+                entry.place = Place::Memory(message);
+            }
+        }
+        self.segments.clear();
+        (self.lock, self.numbers) = (None, None);
     }
 
     /// The disk has refused: nothing more goes into this segment.

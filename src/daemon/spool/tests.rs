@@ -218,6 +218,24 @@ fn a_disk_that_refuses_costs_nothing_until_it_is_back() {
 }
 
 #[test]
+fn a_folder_that_is_removed_costs_nothing() {
+    let parent = folder();
+    let path = parent.path().join("spool");
+    let mut spool = Spool::open(&path, WEEK).expect("nobody else has it");
+    accept(&mut spool, 60);
+    accept(&mut spool, 60);
+    std::fs::remove_dir_all(&path).expect("removing it");
+    accept(&mut spool, 60);
+    assert_eq!((spool.counts().in_memory, spool.counts().waiting), (3, 3));
+    accept(&mut spool, 60);
+    assert_eq!((spool.counts().in_memory, spool.counts().waiting), (0, 4));
+    drop(spool);
+    let mut spool = Spool::open(&path, WEEK).expect("nobody else has it");
+    assert_eq!(arrears(&mut spool), [(60, 1), (60, 2), (60, 3), (60, 4)]);
+    assert_eq!(accept(&mut spool, 60), 5, "the numbers go on");
+}
+
+#[test]
 fn memory_is_bounded() {
     let mut spool = Spool::in_memory();
     (0..=MAX_IN_MEMORY).for_each(|_| _ = accept(&mut spool, 60));

@@ -88,7 +88,7 @@ impl Client {
                     let body = Body::new(&head, connection, rest);
                     return Ok(Answer { head, body });
                 }
-                401 if is_home && answered < 2 => {
+                401 if is_home && answered < 3 => {
                     answered += 1;
                     self.login.challenged(&head, with_login, address.secure)?;
                 }

@@ -21,6 +21,8 @@ pub struct Login {
     client: Option<PasswordClient>,
     /// Whether the challenge in `client` was answered before.
     used: bool,
+    /// Answers in a row that the camera called stale.
+    stale: u32,
     refusals: u32,
     wait_until: Option<Instant>,
     warned: bool,
@@ -39,6 +41,7 @@ impl Login {
             credentials,
             client: None,
             used: false,
+            stale: 0,
             refusals: 0,
             wait_until: None,
             warned: false,
@@ -92,6 +95,9 @@ impl Login {
         let client = read_challenges(head.all("www-authenticate"))?;
         let stale = matches!(&client, PasswordClient::Digest(digest) if digest.stale());
         // A nonce that was answered before may have run out, whether the camera says so or not.
+        self.stale = if stale && answered { self.stale.saturating_add(1) } else { 0 };
+        // Some cameras call a wrong password stale, again and again.
+        let stale = stale && self.stale <= 1;
         let ran_out = matches!(client, PasswordClient::Digest(_)) && (stale || self.used);
         if answered && !ran_out {
             self.refusals = self.refusals.saturating_add(1);
@@ -117,6 +123,7 @@ impl Login {
     /// The camera took the login, or wants none.
     pub fn accepted(&mut self) {
         self.used = self.client.is_some();
+        self.stale = 0;
         (self.refusals, self.wait_until) = (0, None);
     }
 
@@ -306,6 +313,10 @@ mod tests {
         let stale = MD5.replace("qop", "stale=true, qop");
         login.challenged(&head(MD5), false, true).expect("asked");
         login.challenged(&head(&stale), true, true).expect("stale is not a refusal");
+        let fault = login.challenged(&head(&stale), true, true).expect_err("stale once more is");
+        assert!(
+            matches!(fault, Fault::LoginRefused { .. }) && login.ready(Instant::now()).is_err()
+        );
     }
 
     #[test]

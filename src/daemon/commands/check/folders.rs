@@ -101,7 +101,7 @@ pub(super) fn metrics(
         return Some(Err(failure));
     }
     let unseen = metrics::unseen(&real).map_or(String::new(), |why| format!("; but {why}"));
-    let folder = real.parent().unwrap_or(Path::new("."));
+    let folder = parent(&real);
     if !folder.exists() && folder == Path::new(RUNTIME) {
         return Some(Ok(format!("{}: systemd makes the folder{unseen}", file.display())));
     }
@@ -110,6 +110,11 @@ pub(super) fn metrics(
         Ok(()) => Ok(format!("{}: can be written{unseen}", file.display())),
         Err(source) => Err(unwritable(file, source)),
     })
+}
+
+/// The folder of a file; that of a name alone is the present one.
+fn parent(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Whether this user may put another file in the place of this one.
@@ -129,7 +134,7 @@ fn replaceable(file: &Path) -> io::Result<()> {
         std::fs::OpenOptions::new().write(true).open(&partial)?;
     }
     let user = std::fs::metadata("/proc/self")?.uid();
-    let folder = std::fs::metadata(file.parent().unwrap_or(Path::new(".")))?;
+    let folder = std::fs::metadata(parent(file))?;
     let is_others = std::fs::metadata(file).is_ok_and(|there| there.uid() != user);
     if is_others && folder.mode() & STICKY != 0 && folder.uid() != user && user != 0 {
         return Err(io::ErrorKind::PermissionDenied.into());

@@ -104,6 +104,15 @@ pub enum Reason {
         /// Its sides there, m.
         sides_m: [f64; 2],
     },
+    /// A lane has a width that no lane has, on the road of everything but the lanes.
+    LaneWidth {
+        /// The lane, or its lines.
+        name: String,
+        /// Its mean width there, m.
+        width_m: f64,
+        /// Width that was stated, or that lanes have on average, m.
+        expected_m: f64,
+    },
     /// The stated error of a length at the far end is too large.
     UncertainFar {
         /// Standard error of a length there as a part of it.
@@ -236,6 +245,12 @@ impl fmt::Display for Reason {
                 f,
                 "{name} is not right-angled, or not of its stated size, on the road of everything \
                  else ({angle_deg:.0} degrees, {a:.2} x {b:.2} m there); look at its corners"
+            ),
+            Reason::LaneWidth { name, width_m, expected_m } => write!(
+                f,
+                "{name}: by everything else they bound {width_m:.1} m of road, where a lane of \
+                 {expected_m:.1} m was expected; draw the line that is missing, say where no lane \
+                 lies, or give the width of the lanes"
             ),
             Reason::AboveHorizon { vehicle, label, uv: [u, v] } => write!(
                 f,

@@ -85,7 +85,7 @@ impl Desk {
 
     /// What a save refuses, in its words; nothing is written.
     fn refused(&self, drawing: &Value) -> String {
-        let (status, answer) = self.post("api/save", drawing);
+        let (status, answer) = self.post("api/save/0", drawing);
         assert_eq!(status, 422, "{answer}");
         assert!(!self.site.path().join("site/lanes.lut").exists());
         answer["error"].as_str().unwrap().to_owned()
@@ -180,7 +180,7 @@ fn only_this_page_under_a_loopback_name_with_the_token_is_answered() {
     }
     // What a form of another page can send is no JSON.
     let form = format!(
-        "POST {path}api/save HTTP/1.1\r\nHost: {own}\r\nConnection: close\r\n\
+        "POST {path}api/save/0 HTTP/1.1\r\nHost: {own}\r\nConnection: close\r\n\
          Content-Type: text/plain\r\nContent-Length: 2\r\n\r\n{{}}"
     );
     assert_eq!(desk.raw(&form).0, 415);
@@ -267,7 +267,7 @@ fn a_true_drawing_is_saved_whole_and_opens_again() {
         assert!((strip["width_m"][1].as_f64().unwrap() - 3.66).abs() < 0.15, "{strip}");
     }
     assert!(look["dots"].as_array().unwrap().len() > 100);
-    let (status, saved) = desk.post("api/save", &drawing);
+    let (status, saved) = desk.post("api/save/0", &drawing);
     assert_eq!(status, 200, "{saved}");
     let file = |name: &str| std::fs::read(desk.site.path().join("site").join(name)).unwrap();
     let table = file("lanes.lut");
@@ -282,13 +282,60 @@ fn a_true_drawing_is_saved_whole_and_opens_again() {
         let labelme: Value = serde_json::from_slice(&file(name)).unwrap();
         assert_eq!(labelme["shapes"].as_array().unwrap().len(), shapes, "{name}");
     }
-    let again = desk.post("api/save", &drawing);
+    let (status, other) = desk.post("api/save/0", &drawing);
+    assert_eq!(status, 422, "{other}");
+    assert!(other["error"].as_str().unwrap().contains("another window"), "{other}");
+    let again = desk.post("api/save/1", &drawing);
     assert_eq!((again.0, file("lanes.lut") == table_bytes(&desk)), (200, true));
-    assert_eq!(desk.drawing()["lanes"], json!([]), "what is open is not the file");
+    assert_eq!(desk.drawing(), drawing, "a page that is loaded again goes on");
     let site = tempfile::tempdir().unwrap();
     copy(&desk.site.path().join("site"), &site.path().join("site"));
     let reopened = Desk::again(&street(), site);
     assert_eq!(reopened.drawing(), drawing);
+    // Without its lines a drawing leaves none behind.
+    let mut bare = drawing.clone();
+    bare["lines"] = json!([]);
+    let (right, left) =
+        (bare["lanes"][0]["polygon"][0].clone(), bare["lanes"][0]["polygon"][3].clone());
+    let across = json!({"points": [right, left], "metres": 3.66, "standard": null});
+    bare["lengths"].as_array_mut().unwrap().push(across);
+    assert_eq!(reopened.post("api/save/0", &bare).0, 200);
+    let left = |name: &str| reopened.site.path().join("site").join(name).exists();
+    assert_eq!((left("lane_lines.json"), left("lengths.json")), (false, true));
+}
+
+#[test]
+fn what_is_drawn_and_not_saved_outlives_the_program() {
+    let desk = Desk::open(&street());
+    let mut drawing = desk.true_drawing();
+    desk.look(&drawing);
+    drawing["camera_id"] = json!("another");
+    desk.look(&drawing);
+    assert_eq!(desk.drawing(), drawing, "a page that is loaded again goes on");
+    let site = tempfile::tempdir().unwrap();
+    copy(&desk.site.path().join("site"), &site.path().join("site"));
+    let again = Desk::again(&street(), site);
+    assert_eq!(again.drawing(), drawing);
+    assert_eq!(again.post("api/save/0", &drawing).0, 200);
+    assert!(!again.site.path().join("site/draft.json").exists());
+}
+
+#[test]
+fn a_lane_over_two_lanes_is_not_its_own_judge() {
+    let desk = Desk::open(&street());
+    let mut drawing = desk.true_drawing();
+    let (a, b) = (drawing["lanes"][0]["polygon"].clone(), drawing["lanes"][1]["polygon"].clone());
+    let both = json!([{"number": 1, "direction": "away", "widens": false,
+        "polygon": [a[0], a[1], b[2], b[3]]}]);
+    // Without lane lines the drawn lane alone shows how wide the road is, and must not.
+    (drawing["lines"], drawing["lanes"]) = (json!([]), both);
+    assert!(desk.refused(&drawing).contains("across the road lengths are uncertain"));
+    let across = json!({"points": [a[0], a[3]], "metres": 3.66, "standard": null});
+    drawing["lengths"].as_array_mut().unwrap().push(across);
+    let look = desk.look(&drawing);
+    let f = look["camera"]["f_px"].as_f64().unwrap();
+    assert!((f / 760.0 - 1.0).abs() < 0.1, "{look}");
+    assert!(desk.refused(&drawing).contains("covers two lanes"));
 }
 
 fn table_bytes(desk: &Desk) -> Vec<u8> {
@@ -350,7 +397,7 @@ fn what_gave_a_wrong_number_without_a_word_is_refused() {
 fn a_moved_camera_carries_its_points_along_and_needs_a_look() {
     let desk = Desk::open(&street());
     let drawing = desk.true_drawing();
-    assert_eq!(desk.post("api/save", &drawing).0, 200);
+    assert_eq!(desk.post("api/save/0", &drawing).0, 200);
     // The same pictures, 6 px to the right and 4 px down.
     let frames = tempfile::tempdir().unwrap();
     let mut names: Vec<PathBuf> =
@@ -378,5 +425,5 @@ fn a_moved_camera_carries_its_points_along_and_needs_a_look() {
     assert!(said.contains("look at the points"), "{said}");
     let mut confirmed = carried;
     confirmed["backdrop"] = answer["backdrop"].clone();
-    assert_eq!(moved.post("api/save", &confirmed).0, 200);
+    assert_eq!(moved.post("api/save/0", &confirmed).0, 200);
 }

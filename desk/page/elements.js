@@ -58,27 +58,7 @@ export function byId(id) {
 export const percent = (part) => `${(100 * part).toFixed(part < 0.1 ? 1 : 0)} %`;
 
 /**
- * A field for metres; empty is none.
- * @param {string} key
- * @param {number | null} value
- * @param {(value: number | null) => void} change
- * @param {string} [unit]
+ * A number with its noun.
+ * @param {number} n @param {string} one @param {string} [more]
  */
-export function metres(key, value, change, unit = "m") {
-  const input = el("input", {
-    class: "metres", type: "text", inputmode: "decimal", placeholder: unit, data: { key },
-    value: value === null ? "" : String(value), "aria-label": `${key} in ${unit}`,
-    oninput: () => {
-      const text = input.value.trim().replace(",", ".");
-      const number = Number(text);
-      const wrong = text !== "" && !(Number.isFinite(number) && number > 0);
-      input.setAttribute("aria-invalid", String(wrong));
-      input.style.borderColor = wrong ? "var(--bad)" : "";
-      change(text === "" || wrong ? null : number);
-    },
-    onkeydown: (/** @type {KeyboardEvent} */ event) => {
-      if (event.key === "Enter") input.blur();
-    },
-  });
-  return input;
-}
+export const many = (n, one, more = `${one}s`) => `${n} ${n === 1 ? one : more}`;

@@ -6,8 +6,8 @@ use super::print;
 use mvcalib::desk::collect::Camera;
 use mvcalib::desk::program::Detector;
 use mvcalib::desk::server::Desk;
-use mvcalib::desk::site::Site;
-use mvcalib::desk::traffic::{DETECTIONS, Traffic};
+use mvcalib::desk::site::{Site, source};
+use mvcalib::desk::traffic::Traffic;
 use mvcalib::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -58,10 +58,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         (None, Some(folder)) => Site::of(folder, arguments.site.as_deref())?,
         (None, None) => return Err(Error::Usage("give a folder of pictures, or a camera".into())),
     };
-    let saved = site.file(DETECTIONS);
-    let at_hand = arguments.detections.clone().or_else(|| saved.is_file().then_some(saved));
     let detector = arguments.detector()?;
-    let traffic = Traffic::new(detector.clone(), at_hand.as_deref())?;
+    let traffic = Traffic::new(detector.clone(), &site, arguments.detections.as_deref())?;
+    if let Some(said) = traffic.state().problem {
+        eprintln!("mvcalib: {said}");
+    }
     let desk = Desk::bind(site, arguments.port, detector, traffic, camera)?;
     print(&desk.address());
     eprintln!("open this address in a browser; Ctrl-C ends the desk");
@@ -79,6 +80,7 @@ impl Arguments {
             }
             Some(address) => address.to_owned(),
         };
+        source::camera(&address).map_err(|why| Error::Usage(format!("--camera: {why}")))?;
         let program = self.program().ok_or_else(|| {
             Error::Usage(
                 "the program `verge` asks the camera, and is neither beside this one nor on the \

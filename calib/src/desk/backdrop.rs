@@ -4,8 +4,11 @@
 //! median. Frames of another scene are left out and named. Does not own the search for a
 //! scene (the core crate's `scene` module does).
 
+pub mod alike;
+
 use crate::error::{Error, Result};
 use crate::road::scene_reference::{HeapEye, Mean, eye, picture};
+use alike::{alike, unreadable};
 use image::{ImageFormat, RgbImage};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -77,21 +80,18 @@ impl Shift {
 
 impl Backdrop {
     /// The backdrop of frames, in the pose of the first, or of the middle or last one where the
-    /// first shows another scene than most.
+    /// first shows another scene than most. Frames of another size than most are left out.
     ///
     /// # Errors
     /// Where no frame can be read.
     pub fn of(frames: &[PathBuf]) -> Result<Self> {
-        let chosen = spread(frames, MOST_FRAMES);
+        let found = alike(frames);
+        let mut left_out = found.left_out;
+        let chosen = read(&spread(&found.pictures, MOST_FRAMES), &mut left_out);
         let anchors = [0, chosen.len() / 2, chosen.len().saturating_sub(1)];
         let mut best: Option<Aligned> = None;
-        for anchor in anchors {
-            let Some(path) = chosen.get(anchor) else { continue };
-            let aligned = match Aligned::to(path, &chosen) {
-                Ok(aligned) => aligned,
-                Err(_) if anchor != anchors[2] || best.is_some() => continue,
-                Err(error) => return Err(error),
-            };
+        for anchor in anchors.into_iter().filter_map(|k| chosen.get(k)) {
+            let aligned = Aligned::to(anchor, &chosen);
             let most = aligned.kept.len() * 2 > chosen.len();
             if best.as_ref().is_none_or(|b| aligned.kept.len() > b.kept.len()) {
                 best = Some(aligned);
@@ -100,7 +100,10 @@ impl Backdrop {
                 break;
             }
         }
-        best.ok_or_else(|| Error::Usage("no picture can be read".into()))?.median()
+        let mut backdrop = best.ok_or_else(|| none_read(frames, &left_out))?.median()?;
+        backdrop.left_out.append(&mut left_out);
+        backdrop.left_out.sort();
+        Ok(backdrop)
     }
 
     /// How a frame lies against it.
@@ -108,11 +111,11 @@ impl Backdrop {
     /// # Errors
     /// Where the frame cannot be read or has another size.
     pub fn shift(&self, path: &Path) -> Result<Shift> {
-        let (rgb, width, height) = picture(path)?;
-        if [width, height] != self.image_size {
-            let what = path.display().to_string();
-            let expected = self.image_size;
-            return Err(Error::ImageSize { what, actual: [width, height], expected });
+        let wrong = |why: String| Error::Usage(format!("{}: {why}", path.display()));
+        let (rgb, w, h) = picture(path).map_err(|_| wrong(unreadable(path)))?;
+        let [width, height] = self.image_size;
+        if [w, h] != self.image_size {
+            return Err(wrong(format!("it has {w} x {h} px, the others {width} x {height}")));
         }
         Ok(self.shift_of(&rgb))
     }
@@ -145,48 +148,67 @@ fn reference_of(eye: &mut HeapEye, rgb: &[u8]) -> Result<Reference> {
     mean.reference()
 }
 
+/// A decoded frame.
+struct Frame {
+    path: PathBuf,
+    image: RgbImage,
+}
+
+/// Decodes frames; those that cannot be are left out.
+fn read(paths: &[PathBuf], left_out: &mut Vec<(String, String)>) -> Vec<Frame> {
+    let decode = |path: &PathBuf| -> Option<Frame> {
+        let (rgb, width, height) = picture(path).ok()?;
+        Some(Frame { path: path.clone(), image: RgbImage::from_raw(width, height, rgb)? })
+    };
+    let decoded: Vec<_> = paths.par_iter().map(decode).collect();
+    for (path, _) in paths.iter().zip(&decoded).filter(|(_, frame)| frame.is_none()) {
+        left_out.push((name_of(path), unreadable(path)));
+    }
+    decoded.into_iter().flatten().collect()
+}
+
+fn none_read(frames: &[PathBuf], left_out: &[(String, String)]) -> Error {
+    let folder = frames.first().and_then(|path| path.parent()).unwrap_or(Path::new("."));
+    let (tried, all) = (left_out.len(), frames.len());
+    let (first, why) = left_out.first().map_or(("", ""), |(first, why)| (first, why));
+    Error::Usage(format!(
+        "no picture in {} can be read: {tried} of {all} were tried; {first}: {why}",
+        folder.display()
+    ))
+}
+
 /// Frames brought over one of them.
-struct Aligned {
+struct Aligned<'a> {
     size: [u32; 2],
-    kept: Vec<(PathBuf, RgbImage, [i64; 2])>,
+    kept: Vec<(&'a Frame, [i64; 2])>,
     left_out: Vec<(String, String)>,
 }
 
-impl Aligned {
-    fn to(anchor: &Path, frames: &[PathBuf]) -> Result<Self> {
-        let (rgb, width, height) = picture(anchor)?;
-        let mut own = eye(width, height);
+impl<'a> Aligned<'a> {
+    /// The frames have the anchor's size.
+    fn to(anchor: &Frame, frames: &'a [Frame]) -> Self {
+        let (width, height) = anchor.image.dimensions();
         // A scene without edges is taken as it comes.
-        let reference = reference_of(&mut own, &rgb).ok();
-        let judge = |path: &PathBuf| -> std::result::Result<(RgbImage, [i64; 2]), String> {
-            let (rgb, w, h) = picture(path).map_err(|e| e.to_string())?;
-            if (w, h) != (width, height) {
-                return Err(format!("it has {w} x {h} px, the others {width} x {height}"));
-            }
-            let mut eye = eye(w, h);
-            eye.look(&rgb);
-            let by = match &reference {
-                None => [0.0; 2],
-                Some(reference) => {
-                    let shift = Shift::of(&search(reference, &eye), &eye);
-                    if !shift.sure {
-                        return Err("it does not show the scene of the others".into());
-                    }
-                    shift.by
-                }
-            };
-            let image = RgbImage::from_raw(w, h, rgb).ok_or("it is cut off")?;
-            Ok((image, by.map(|px| px.round() as i64)))
+        let reference = reference_of(&mut eye(width, height), anchor.image.as_raw()).ok();
+        let judge = |frame: &Frame| -> Option<[i64; 2]> {
+            let Some(reference) = &reference else { return Some([0; 2]) };
+            let mut eye = eye(width, height);
+            eye.look(frame.image.as_raw());
+            let shift = Shift::of(&search(reference, &eye), &eye);
+            shift.sure.then(|| shift.by.map(|px| px.round() as i64))
         };
-        let judged: Vec<_> = frames.par_iter().map(|path| (path, judge(path))).collect();
+        let judged: Vec<_> = frames.par_iter().map(|frame| (frame, judge(frame))).collect();
         let (mut kept, mut left_out) = (Vec::new(), Vec::new());
-        for (path, judged) in judged {
+        for (frame, judged) in judged {
             match judged {
-                Ok((image, by)) => kept.push((path.clone(), image, by)),
-                Err(why) => left_out.push((name_of(path), why)),
+                Some(by) => kept.push((frame, by)),
+                None => {
+                    let why = "it does not show the scene of the others";
+                    left_out.push((name_of(&frame.path), why.into()));
+                }
             }
         }
-        Ok(Aligned { size: [width, height], kept, left_out })
+        Aligned { size: [width, height], kept, left_out }
     }
 
     fn median(self) -> Result<Backdrop> {
@@ -196,12 +218,12 @@ impl Aligned {
             let mut values = [const { Vec::new() }; 3];
             for u in 0..width {
                 values.iter_mut().for_each(Vec::clear);
-                for (_, image, [du, dv]) in &self.kept {
+                for (frame, [du, dv]) in &self.kept {
                     let (u, v) = (i64::from(u) + du, i64::from(v) + dv);
                     let inside =
                         (0..i64::from(width)).contains(&u) && (0..i64::from(height)).contains(&v);
                     if inside {
-                        let pixel = image.get_pixel(u as u32, v as u32);
+                        let pixel = frame.image.get_pixel(u as u32, v as u32);
                         values.iter_mut().zip(pixel.0).for_each(|(v, p)| v.push(p));
                     }
                 }
@@ -216,7 +238,7 @@ impl Aligned {
             row
         };
         let rgb: Vec<u8> = (0..height).into_par_iter().flat_map_iter(row).collect();
-        let frames = self.kept.into_iter().map(|(path, ..)| path).collect();
+        let frames = self.kept.iter().map(|(frame, _)| frame.path.clone()).collect();
         let mut own = eye(width, height);
         let reference = reference_of(&mut own, &rgb).ok();
         let png = png(&rgb, self.size)?;
@@ -235,7 +257,8 @@ fn png(rgb: &[u8], [width, height]: [u32; 2]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn hexadecimal(bytes: &[u8]) -> String {
+/// SHA-256 in hexadecimal digits.
+pub(super) fn hexadecimal(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
 }
 

@@ -237,15 +237,16 @@ impl Drawing {
         };
         cues.rectangles = self.rectangles.iter().enumerate().map(rectangle).collect();
         cues.lanes = self.strips().iter().map(Strip::cue).collect();
-        if cues.lanes.is_empty() {
-            cues.lanes = self.lanes.iter().filter_map(|l| self.lane_cue(l)).collect();
-        }
         Ok(cues)
     }
 
-    fn lane_cue(&self, lane: &Lane) -> Option<LaneCue> {
-        let drawing = outline::read(&self.labelme([lane])).ok()?;
-        cue_files::of_outline(drawing.lanes.first()?, self.image_size).ok()
+    /// The drawn lanes, as cues where there are no lane lines.
+    pub fn outlines(&self) -> Vec<LaneCue> {
+        let cue = |lane: &Lane| {
+            let drawing = outline::read(&self.labelme([lane])).ok()?;
+            cue_files::of_outline(drawing.lanes.first()?, self.image_size).ok()
+        };
+        self.lanes.iter().filter_map(cue).collect()
     }
 
     /// The vehicles that have key points.

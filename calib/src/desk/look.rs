@@ -17,7 +17,7 @@ use crate::length_error::UncertainCamera;
 use crate::model::{VehicleModel, parse_models};
 use crate::problem::Problem;
 use crate::road::drawn_lane::{self, DrawnLane};
-use crate::road::fit::{self, BoxCue, Fit, PlaceErrors};
+use crate::road::fit::{self, BoxCue, Fit, LaneCue, PlaceErrors};
 use crate::road::judge::{Judged, MAX_SPAN_M, MIN_CAR_PX, judge_lanes};
 use crate::road::lane_table::require_apart;
 use crate::road::outline;
@@ -147,6 +147,12 @@ fn measure(drawing: &Drawing, boxes: &[BoxCue], answer: &mut Look) -> Result<Opt
         }
         cues.labelled = Some(joint.labelled());
         doubts = untold(&problem, &joint::Settings::default(), &joint.estimate);
+    }
+    if cues.lanes.is_empty() {
+        // They say where the road runs. Were their width a cue, a lane over two lanes would bend the
+        // camera until it has the width of one, and be its own judge.
+        let of = |lane: LaneCue| LaneCue { steady: false, ..lane };
+        cues.lanes = drawing.outlines().into_iter().map(of).collect();
     }
     if drawing.use_traffic && !cues.lanes.is_empty() {
         cues.boxes = boxes.to_vec();

@@ -8,12 +8,14 @@ use verge_desk::page::{File, SCRIPT};
 pub const INDEX: &str = include_str!("page/index.html");
 
 /// What it asks for, beside what all pages share.
-const FILES: [File; 14] = [
+const FILES: [File; 16] = [
     ("main.js", SCRIPT, include_str!("page/main.js")),
     ("types.js", SCRIPT, include_str!("page/types.js")),
     ("server.js", SCRIPT, include_str!("page/server.js")),
     ("store.js", SCRIPT, include_str!("page/store.js")),
     ("tools.js", SCRIPT, include_str!("page/tools.js")),
+    ("fields.js", SCRIPT, include_str!("page/fields.js")),
+    ("keys.js", SCRIPT, include_str!("page/keys.js")),
     ("pictures.js", SCRIPT, include_str!("page/pictures.js")),
     ("collect.js", SCRIPT, include_str!("page/collect.js")),
     ("road.js", SCRIPT, include_str!("page/road.js")),

@@ -179,6 +179,8 @@ impl<T: Send + Sync + 'static> Task<T> {
 
 impl<T> Drop for Task<T> {
     fn drop(&mut self) {
+        // What it has not finished is no result: nobody waits for it.
+        *lock(&self.progress) = Progress::Idle;
         if let Some(mut child) = lock(&self.child).take() {
             let _ = child.kill();
             let _ = child.wait();

@@ -7,7 +7,7 @@ use super::audit;
 use super::backdrop::{Backdrop, spread};
 use super::drawing::{Drawing, Px};
 use super::look;
-use super::site::{POSE, SITE, Site};
+use super::site::{POSE, SITE, Site, source};
 use super::traffic::Traffic;
 use crate::error::{Error, Result};
 use crate::files::calibration::Sha256;
@@ -27,6 +27,9 @@ const REFERENCE_FRAMES: usize = 8;
 const INTERVAL_S: f64 = 5.0;
 /// Lengths of the sensor's windows, s.
 const WINDOWS_S: [u64; 2] = [60, 900];
+
+/// Files that only some drawings have: known lengths, and lane lines.
+const OPTIONAL: [&str; 2] = ["lengths.json", "lane_lines.json"];
 
 /// What was saved.
 #[derive(Debug, Serialize)]
@@ -91,10 +94,10 @@ pub fn save(
         (SITE, drawn.into_bytes(), "everything drawn: opened again by `mvcalib desk`"),
     ];
     if let Some(lengths) = lengths {
-        files.push(("lengths.json", labelme(&lengths), "the known lengths, for labelme too"));
+        files.push((OPTIONAL[0], labelme(&lengths), "the known lengths, for labelme too"));
     }
     if let Some(lines) = lines {
-        files.push(("lane_lines.json", labelme(&lines), "the lane lines, for labelme too"));
+        files.push((OPTIONAL[1], labelme(&lines), "the lane lines, for labelme too"));
     }
     if !site.file(SITE).exists()
         && let Some((name, ..)) = files.iter().find(|(name, ..)| site.file(name).exists())
@@ -109,6 +112,15 @@ pub fn save(
         batch.add(&site.file(name), bytes)?;
     }
     batch.commit()?;
+    // Those of an earlier drawing would go on to speak for this one.
+    for name in OPTIONAL.into_iter().filter(|name| files.iter().all(|(kept, ..)| kept != name)) {
+        match std::fs::remove_file(site.file(name)) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(verge_desk::Failure::Write { path: site.file(name), source }.into());
+            }
+            _ => {}
+        }
+    }
     let files = files.into_iter().map(|(name, _, what)| (name.into(), what.into())).collect();
     Ok(Saved { folder: site.folder.display().to_string(), files })
 }
@@ -117,15 +129,35 @@ fn points(polygon: &[Px]) -> Vec<Vector2<f64>> {
     polygon.iter().map(|&p| p.into()).collect()
 }
 
-/// A name as topics and lane tables hold it.
+/// A name as topics, lane tables and `verge check` take it.
 fn name(what: &str, text: &str) -> Result<()> {
-    let plain = !text.trim().is_empty() && text.len() <= MAX_NAME;
-    if plain && !text.contains(['/', '+', '#', '\0', '\n']) {
+    // Controls, and marks that turn the direction of text or have no width.
+    let is_hidden = |c: char| {
+        c.is_control()
+            || matches!(
+                c,
+                '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}'
+            )
+    };
+    let wrong = if text.is_empty() {
+        "it is empty"
+    } else if text.len() > MAX_NAME {
+        "it is too long"
+    } else if text.contains(['/', '+', '#']) {
+        "it has a / + or # in it"
+    } else if text.contains(is_hidden) {
+        "it holds characters that do not show"
+    } else if text.trim() != text {
+        "it has blanks at its ends"
+    } else if matches!(text, "." | "..") {
+        "it stands for a folder"
+    } else if text.contains("${") || text.contains("{{") {
+        "it is a placeholder that nobody has filled in"
+    } else {
         return Ok(());
-    }
-    Err(Error::Usage(format!(
-        "give the {what} a name of 1 to {MAX_NAME} bytes without / + # (it is {text:?})"
-    )))
+    };
+    let longest = format!("give the {what} a name of 1 to {MAX_NAME} bytes without / + #");
+    Err(Error::Usage(format!("{longest}: {wrong} ({text:?})")))
 }
 
 /// As labelme 5 writes it.
@@ -159,12 +191,18 @@ fn windows_of(interval_s: f64) -> Result<Vec<u64>> {
 
 fn toml(drawing: &Drawing, site: &Site, model: Option<&Path>) -> Result<String> {
     let absolute = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    // JSON's texts are TOML's basic ones.
-    let text = |text: &str| serde_json::to_string(text).expect("a text is JSON");
+    // JSON's texts are TOML's basic ones, but for DEL, which TOML wants written out.
+    let text = |text: &str| {
+        serde_json::to_string(text).expect("a text is JSON").replace('\u{7f}', "\\u007f")
+    };
     let path = |path: &PathBuf| text(&path.to_string_lossy());
     let source = match drawing.source.trim() {
         "" => path(&absolute(&site.frames)),
-        given => text(given),
+        given => {
+            source::saved(given, &site.folder)
+                .map_err(|why| Error::Usage(format!("the camera's address: {why}")))?;
+            text(given)
+        }
     };
     let interval_s = drawing.interval_s.or_else(|| interval_of(site)).unwrap_or(INTERVAL_S);
     let mut toml = String::from(
@@ -232,9 +270,41 @@ mod tests {
 
     #[test]
     fn names_of_topics_are_plain() {
-        assert!(name("site", "bridge 7").is_ok());
-        for wrong in ["", " ", "a/b", "a#", "ä".repeat(25).as_str()] {
-            assert!(name("site", wrong).is_err(), "{wrong:?}");
+        assert!(name("site", "bridge 7").is_ok() && name("site", "道路 Süd").is_ok());
+        let long = "ä".repeat(25);
+        for (wrong, why) in [
+            ("", "empty"),
+            (" ", "blanks at its ends"),
+            ("a ", "blanks at its ends"),
+            ("a/b", "a / + or #"),
+            ("a#", "a / + or #"),
+            (&long, "too long"),
+            ("a\tb", "do not show"),
+            ("a\u{7f}", "do not show"),
+            ("a\u{202e}b", "do not show"),
+            ("..", "stands for a folder"),
+            ("${SITE}", "placeholder"),
+        ] {
+            let said = name("site", wrong).unwrap_err().to_string();
+            assert!(said.contains(why), "{wrong:?}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_configuration_names_a_source_that_the_sensor_opens() {
+        let site = Site { frames: "/nowhere/a\u{7f}".into(), folder: "/nowhere/site".into() };
+        let mut drawing = Drawing::empty([320, 240], String::new());
+        let frames = toml(&drawing, &site, None).unwrap();
+        assert!(frames.contains(r#"source = "/nowhere/a\u007f""#), "{frames}");
+        drawing.source = "rtsp://cam/s".into();
+        assert!(toml(&drawing, &site, None).unwrap().contains("source = \"rtsp://cam/s\""));
+        for (source, why) in [
+            ("not an address", "the camera's address: it is neither an address nor a folder"),
+            ("rtsp://u:secret@cam/s", "camera.user and camera.password_file of verge.toml"),
+        ] {
+            drawing.source = source.into();
+            let said = toml(&drawing, &site, None).unwrap_err().to_string();
+            assert!(said.contains(why) && !said.contains("secret"), "{said}");
         }
     }
 }

@@ -20,7 +20,7 @@ use crate::road::standards;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use verge_desk::loopback::{Asked, Loopback, Reply, decoded};
 
 /// A desk that answers.
@@ -33,6 +33,20 @@ pub struct Desk {
     detector: Option<Detector>,
     /// What was made of the pictures; made again once others were collected.
     prepared: Mutex<Option<Arc<Prepared>>>,
+    latest: Mutex<Latest>,
+}
+
+/// What is drawn and not saved, in the site's folder.
+const DRAFT: &str = "draft.json";
+
+/// The drawing that the page sent last: a page that is loaded again goes on with it, and so does a
+/// program that is started again.
+#[derive(Default)]
+struct Latest {
+    drawing: Option<Drawing>,
+    is_saved: bool,
+    /// How often this site was saved since the program began.
+    version: u64,
 }
 
 /// What is made once from the pictures.
@@ -57,7 +71,8 @@ impl Desk {
         let loopback = Loopback::bind(port).map_err(Error::Usage)?;
         let (audit, collection) = (Audit::new(detector.clone()), Collection::new(camera));
         let prepared = Mutex::new(None);
-        Ok(Desk { loopback, site, traffic, audit, collection, detector, prepared })
+        let latest = Mutex::default();
+        Ok(Desk { loopback, site, traffic, audit, collection, detector, prepared, latest })
     }
 
     /// The address to open in a browser.
@@ -142,9 +157,15 @@ impl Desk {
             Ok(drawing) => drawing,
             Err(why) => return wrong(&format!("the drawing: {why}")),
         };
+        if let Some(version) = path.strip_prefix("api/save/") {
+            return answer(self.save(drawing, version));
+        }
         match path {
-            "api/look" => json_of(&look(&drawing, &self.traffic.cue())),
-            "api/save" => answer(self.save(&drawing)),
+            "api/look" => {
+                let answer = json_of(&look(&drawing, &self.traffic.cue()));
+                self.keep(drawing);
+                answer
+            }
             "api/dashes" => answer(self.dashes(&drawing)),
             "api/count" => answer(
                 self.prepared()
@@ -162,11 +183,56 @@ impl Desk {
         answer(begun.map(|()| self.audit.state(&self.site)))
     }
 
-    fn save(&self, drawing: &Drawing) -> Result<super::save::Saved> {
+    /// Saves what goes on from `version`, so that no window undoes what another has saved.
+    fn save(&self, drawing: Drawing, version: &str) -> Result<Value> {
         let prepared = self.prepared()?;
         prepared.opened()?;
+        let mut latest = self.latest();
+        if version != latest.version.to_string() {
+            return Err(Error::Usage(
+                "another window has saved this site since this page was loaded: load this page \
+                 again to go on from there; what was drawn here since then is lost by that"
+                    .into(),
+            ));
+        }
         let model = self.detector.as_ref().map(|d| d.model.as_path());
-        save(drawing, &self.site, &prepared.backdrop, &self.traffic, model)
+        let saved = save(&drawing, &self.site, &prepared.backdrop, &self.traffic, model)?;
+        let _ = std::fs::remove_file(self.site.file(DRAFT));
+        let version = latest.version + 1;
+        *latest = Latest { drawing: Some(drawing), is_saved: true, version };
+        Ok(json!({ "folder": saved.folder, "files": saved.files, "version": version }))
+    }
+
+    fn keep(&self, drawing: Drawing) {
+        let mut latest = self.latest();
+        if latest.drawing.as_ref() == Some(&drawing) {
+            return;
+        }
+        // The first one is what the page was loaded with.
+        if latest.drawing.is_some() {
+            let draft = self.site.file(DRAFT);
+            let json = serde_json::to_vec(&drawing).expect("a drawing of finite numbers is JSON");
+            // Where it cannot be written saving says so.
+            let _ = verge_desk::make_parent(&draft)
+                .and_then(|()| verge_desk::write_whole(&draft, &json));
+        }
+        (latest.drawing, latest.is_saved) = (Some(drawing), false);
+    }
+
+    /// Takes up what was drawn on these pictures and not saved before the program ended.
+    fn take_up(&self, backdrop: &Backdrop) {
+        let mut latest = self.latest();
+        let draft = || verge_desk::read_bytes(&self.site.file(DRAFT)).ok();
+        if latest.drawing.is_none()
+            && let Some(drawing) = draft().and_then(|json| Drawing::parse(&json).ok())
+            && drawing.backdrop == backdrop.sha256
+        {
+            latest.drawing = Some(drawing);
+        }
+    }
+
+    fn latest(&self) -> MutexGuard<'_, Latest> {
+        self.latest.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn prepared(&self) -> Result<Arc<Prepared>> {
@@ -190,7 +256,13 @@ impl Desk {
         let problem = opened.as_ref().err().map(ToString::to_string);
         let opened = opened.ok().flatten();
         let empty = || Drawing::empty(backdrop.image_size, backdrop.sha256.clone());
-        let drawing = opened.map_or_else(empty, |o| o.drawing.clone());
+        self.take_up(backdrop);
+        let latest = self.latest();
+        // One on other pictures is not on these.
+        let drawn = latest.drawing.as_ref().filter(|d| d.backdrop == backdrop.sha256);
+        let saved = if drawn.is_some() { latest.is_saved } else { opened.is_some() };
+        let moved = opened.filter(|_| drawn.is_none()).and_then(|o| o.moved.as_ref());
+        let drawing = drawn.or(opened.map(|o| &o.drawing)).cloned().unwrap_or_else(empty);
         let frames: Vec<String> = self.site.pictures()?.iter().map(|p| name_of(p)).collect();
         let standards: Vec<Value> = standards::all()
             .iter()
@@ -204,8 +276,9 @@ impl Desk {
             "image_size": backdrop.image_size,
             "backdrop": backdrop.sha256,
             "drawing": drawing,
-            "saved": opened.is_some(),
-            "moved": opened.and_then(|o| o.moved.as_ref()).map(shift_json),
+            "saved": saved,
+            "version": latest.version,
+            "moved": moved.map(shift_json),
             "problem": problem,
             "standards": standards,
             "key_points": KEY_POINT_NAMES,

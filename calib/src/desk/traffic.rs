@@ -1,7 +1,10 @@
 //! Vehicles of the pictures, found by the program `verge`, in the drawn lanes.
 //!
 //! Owns running `verge detect` beside this program, its boxes, and counting them by lane with
-//! the very table that the sensor would use. Does not own a detector.
+//! the very table that the sensor would use. Does not own a detector, nor which boxes still are
+//! of these pictures (see `searched`).
+
+mod searched;
 
 use super::backdrop::{Backdrop, name_of, spread};
 use super::drawing::Drawing;
@@ -13,10 +16,11 @@ use crate::files::calibration::Sha256;
 use crate::road::cue_files;
 use crate::road::fit::{BoxCue, Class};
 use crate::road::lane_table::table;
+use searched::{Note, Searched, pictures_of};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::process::Command;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use verge::lane::{DEFAULT_CELL_LENGTH_M, LaneTable};
 use verge::units::ImagePoint;
 
@@ -38,11 +42,20 @@ pub struct FrameBoxes {
     pub boxes: Vec<(f64, f64, f64, f64, f64, String)>,
 }
 
+impl FrameBoxes {
+    /// The file's name of the picture.
+    fn name(&self) -> String {
+        name_of(Path::new(&self.frame))
+    }
+}
+
 /// The search of this desk.
 #[derive(Debug)]
 pub struct Traffic {
     detector: Option<Detector>,
-    task: Task<Vec<FrameBoxes>>,
+    task: Task<Searched>,
+    /// Of the boxes that were at hand at the start.
+    note: Mutex<Note>,
 }
 
 /// How far the search is, for the page.
@@ -56,8 +69,10 @@ pub struct TrafficState {
     pub running_s: f64,
     /// Pictures that are searched so far.
     pub searched: usize,
-    /// Why it failed.
+    /// Why it failed, or what is wrong with boxes of an earlier search.
     pub problem: Option<String>,
+    /// Pictures whose boxes were dropped at the start: they are gone or others now.
+    pub stale: usize,
     /// Pictures that were searched, once all are.
     pub frames: usize,
     /// Boxes that were found.
@@ -65,29 +80,38 @@ pub struct TrafficState {
 }
 
 impl Traffic {
-    /// A search by that detector; boxes of a file at hand are taken as they are.
+    /// A search by that detector. Boxes of a `given` file are taken, else those of an earlier search
+    /// of these very pictures; the state's `problem` tells which were not.
     ///
     /// # Errors
-    /// Where the file cannot be read.
-    pub fn new(detector: Option<Detector>, at_hand: Option<&Path>) -> Result<Self> {
-        let progress = match at_hand {
-            Some(path) => Progress::Done(Arc::new(read(path)?)),
-            None => Progress::Idle,
+    /// Where the given file cannot be read.
+    pub fn new(detector: Option<Detector>, site: &Site, given: Option<&Path>) -> Result<Self> {
+        let (searched, note) = match given {
+            Some(path) => Searched::given(path, site)?,
+            None => Searched::saved(site),
         };
-        Ok(Traffic { detector, task: Task::new(progress) })
+        let progress = match searched.frames.is_empty() {
+            true => Progress::Idle,
+            false => Progress::Done(Arc::new(searched)),
+        };
+        Ok(Traffic { detector, task: Task::new(progress), note: Mutex::new(note) })
+    }
+
+    fn note(&self) -> MutexGuard<'_, Note> {
+        self.note.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The boxes, once there are some.
-    pub fn found(&self) -> Option<Arc<Vec<FrameBoxes>>> {
+    fn found(&self) -> Option<Arc<Searched>> {
         match self.task.now() {
-            Progress::Done(frames) => Some(frames),
+            Progress::Done(searched) => Some(searched),
             _ => None,
         }
     }
 
     /// The boxes as a cue of the road fit, where the backdrop is.
     pub fn cue(&self) -> Vec<BoxCue> {
-        let Some(frames) = self.found() else { return Vec::new() };
+        let Some(found) = self.found() else { return Vec::new() };
         let of = |(frame, all): (usize, &FrameBoxes)| -> Vec<BoxCue> {
             let strong = all.boxes.iter().filter(|b| b.4 >= cue_files::MIN_SCORE);
             strong
@@ -98,7 +122,7 @@ impl Traffic {
                 })
                 .collect()
         };
-        frames.iter().enumerate().flat_map(of).collect()
+        found.frames.iter().enumerate().flat_map(of).collect()
     }
 
     /// For the page.
@@ -106,23 +130,26 @@ impl Traffic {
         let now = self.task.now();
         let (searched, frames, boxes) = match &now {
             Progress::Running { lines, .. } => (lines.len(), 0, 0),
-            Progress::Done(frames) => {
+            Progress::Done(searched) => {
+                let frames = &searched.frames;
                 (frames.len(), frames.len(), frames.iter().map(|f| f.boxes.len()).sum())
             }
             _ => (0, 0, 0),
         };
+        let note = self.note();
         TrafficState {
             detector: self.detector.is_some(),
             state: now.name(),
             running_s: now.running_s(),
             searched,
-            problem: now.problem(),
+            problem: now.problem().or_else(|| note.said.clone()),
+            stale: note.stale,
             frames,
             boxes,
         }
     }
 
-    /// Begins the search; one at a time.
+    /// Begins the search, also once more; one at a time.
     ///
     /// # Errors
     /// Where there is no detector, or its program cannot be started.
@@ -139,19 +166,11 @@ impl Traffic {
         let mut command = Command::new(&detector.program);
         command.args(["detect", "--names", "--frames"]).arg(&site.frames);
         command.arg("--detections").arg(&out).arg("--model").arg(&detector.model);
-        self.task.start(command, "", move |_| read(&out))
+        let (pictures, of) = (pictures_of(site), site.clone());
+        self.task.start(command, "", move |_| Searched::bound(&of, pictures))?;
+        *self.note() = Note::default();
+        Ok(())
     }
-}
-
-fn read(path: &Path) -> Result<Vec<FrameBoxes>> {
-    let text = verge_desk::read_text(path)?;
-    let parse = |(k, line): (usize, &str)| {
-        serde_json::from_str(line).map_err(|e| Error::Json {
-            path: path.to_owned(),
-            detail: format!("line {}: {e}", k + 1),
-        })
-    };
-    text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()).map(parse).collect()
 }
 
 /// A box in its lane.
@@ -198,19 +217,19 @@ pub struct Counts {
     pub lanes: Vec<LaneMean>,
 }
 
-/// Counts the boxes of every picture in the lanes of a drawing.
+/// Counts the boxes of every picture in the lanes of a drawing. Pictures that are gone, others now,
+/// or left out of the backdrop do not count.
 ///
 /// # Errors
-/// What is wrong with the drawing's camera or lanes.
+/// What is wrong with the drawing's camera or lanes, or that no picture is left.
 pub fn count(
     drawing: &Drawing,
     traffic: &Traffic,
     backdrop: &Backdrop,
     site: &Site,
 ) -> Result<Counts> {
-    let frames =
+    let found =
         traffic.found().ok_or_else(|| Error::Usage("no picture was searched yet".into()))?;
-    let frames = spread(&frames, MOST_COUNTED);
     let calibration = look::calibration(drawing, &traffic.cue())?;
     let lanes = look::lanes(drawing, &calibration)?;
     let sha256 = Sha256::of(calibration.to_json().as_bytes());
@@ -220,9 +239,12 @@ pub fn count(
     let height = f64::from(drawing.image_size[1]);
     let mut totals = vec![0.0; 256];
     let mut counted = Vec::new();
-    for frame in &frames {
-        let shift = site.picture(&frame.frame).and_then(|p| backdrop.shift(&p).ok());
-        let [du, dv] = shift.filter(|s| s.sure).map_or([0.0; 2], |s| s.by);
+    for frame in spread(&found.frames, MOST_COUNTED) {
+        let name = frame.name();
+        let is_out = backdrop.left_out.iter().any(|(out, _)| *out == name);
+        let picture = site.picture(&name).filter(|path| !is_out && found.holds(&name, path));
+        let Some(shift) = picture.and_then(|path| backdrop.shift(&path).ok()) else { continue };
+        let [du, dv] = if shift.sure { shift.by } else { [0.0; 2] };
         let place = |b: &(f64, f64, f64, f64, f64, String)| {
             if b.4 < COUNTS || b.3 >= height - EDGE_PX {
                 return None;
@@ -247,9 +269,15 @@ pub fn count(
         for lane in boxes.iter().filter_map(|b| b.lane) {
             totals[usize::from(lane)] += 1.0;
         }
-        counted.push(CountedFrame { frame: name_of(Path::new(&frame.frame)), boxes });
+        counted.push(CountedFrame { frame: name, boxes });
     }
-    let n = (frames.len() as f64).max(1.0);
+    if counted.is_empty() && !found.frames.is_empty() {
+        return Err(Error::Usage(
+            "the pictures that were searched are gone or others now: find the vehicles again"
+                .into(),
+        ));
+    }
+    let n = (counted.len() as f64).max(1.0);
     let mean = |lane: &crate::road::drawn_lane::DrawnLane| LaneMean {
         lane: lane.id.get(),
         length_m: lane.axis.length_m(),

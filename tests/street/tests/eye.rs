@@ -372,7 +372,7 @@ fn a_site_saved_at_the_desk_passes_every_check() {
         "lanes": [{"number": 1, "direction": "away", "polygon": polygon}],
     });
     let drawing = Drawing::parse(drawing.to_string().as_bytes()).expect("a drawing");
-    let traffic = Traffic::new(None, None).expect("no file");
+    let traffic = Traffic::new(None, &site, None).expect("no file");
     let model = at(MODEL);
     save::save(&drawing, &site, &backdrop, &traffic, Some(&model)).expect("a good site");
     let config = site.file("verge.toml");

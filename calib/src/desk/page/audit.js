@@ -1,6 +1,6 @@
 // Step 6: pictures that a person counts, before any box is shown, and what follows.
 
-import { el } from "./elements.js";
+import { el, many } from "./elements.js";
 import { paintLanes } from "./lanes.js";
 import { laneColour } from "./paint.js";
 import * as server from "./server.js";
@@ -12,7 +12,7 @@ import * as server from "./server.js";
  * What was counted so far.
  * @typedef {Object} Sheet
  * @property {string[]} frames
- * @property {(number | null)[][]} counts by picture and lane
+ * @property {string[][]} typed what was typed, by picture and lane
  * @property {boolean[]} skipped pictures that cannot be counted
  * @property {number} at the picture that is counted now
  * @property {string} focus the field that is typed in next
@@ -51,7 +51,7 @@ const ask_again = (desk) => ask(desk, server.audit);
 /** @param {Desk} desk @param {AuditState} now */
 function begin(desk, now) {
   const { frames, lanes } = now;
-  desk.kept.sheet = { frames, counts: frames.map(() => lanes.map(() => null)), skipped: frames.map(() => false), at: 0, focus: "" };
+  desk.kept.sheet = { frames, typed: frames.map(() => lanes.map(() => "")), skipped: frames.map(() => false), at: 0, focus: "" };
   go(desk, 0);
 }
 
@@ -61,7 +61,8 @@ function go(desk, at) {
   if (!now) return;
   now.at = Math.min(Math.max(at, 0), now.frames.length - 1);
   now.focus = key(now, 0);
-  desk.show(desk.site.frames.indexOf(now.frames[now.at]));
+  const place = desk.site.frames.indexOf(now.frames[now.at]);
+  if (place >= 0) desk.show(place);
   desk.render();
   focus(desk);
 }
@@ -88,10 +89,14 @@ function showContradiction(desk, problem) {
 
 /** @param {Sheet} now @param {number} l */
 const key = (now, l) => `count-${now.at}-${l}`;
+/** @param {string} text */
+const isCount = (text) => /^\d+$/.test(text.trim()) && Number(text) <= MOST;
 /** @param {Sheet} now @param {number} k */
-const isCounted = (now, k) => now.counts[k].every((count) => count !== null);
+const isCounted = (now, k) => !now.skipped[k] && now.typed[k].every(isCount);
 /** @param {Sheet} now @param {number} k */
 const isAnswered = (now, k) => now.skipped[k] || isCounted(now, k);
+/** Begun, and not counted to its end: it can neither be sent nor left out. @param {Sheet} now @param {number} k */
+const isPartial = (now, k) => !isAnswered(now, k) && now.typed[k].some((text) => text.trim());
 
 /** @param {Desk} desk */
 function compare(desk) {
@@ -100,8 +105,8 @@ function compare(desk) {
   if (!now) return;
   desk.kept.contradiction = "";
   const answers = now.frames
-    .map((frame, k) => ({ frame, counts: lanes.map((lane, l) => [lane, now.counts[k][l]]), k }))
-    .filter(({ k }) => !now.skipped[k] && isCounted(now, k))
+    .map((frame, k) => ({ frame, counts: lanes.map((lane, l) => [lane, Number(now.typed[k][l])]), k }))
+    .filter(({ k }) => isCounted(now, k))
     .map(({ frame, counts }) => ({ frame, counts }));
   ask(desk, () => server.compareAudit(answers));
 }
@@ -136,38 +141,43 @@ function body(desk, now) {
       el("div", { class: "actions" }, el("button", { class: "primary", onclick: () => desk.go(4) }, "Save the site"))];
   const problem = desk.kept.auditProblem || now.problem;
   const wrong = problem && el("div", { class: "card bad", id: "audit-problem", text: problem });
-  if (now.choosing === "running") return [explained, el("div", { class: "card" }, `Looking through ${desk.site.frames.length} pictures for ten of light and heavy traffic … ${now.running_s.toFixed(0)} s`)];
+  if (now.choosing === "running") return [explained, el("div", { class: "card" }, `Looking through ${many(desk.site.frames.length, "picture")} for ten of light and heavy traffic … ${now.running_s.toFixed(0)} s`)];
   const counting = sheet(desk);
   if (!counting)
     return [explained, wrong,
       now.audited && el("div", { class: "card good", text: "This site has an audit. A new one takes its place." }),
       el("div", { class: "actions" }, el("button", { class: "primary", id: "choose", onclick: () => ask(desk, server.chooseAudit) }, "Choose ten pictures"))];
   if (now.comparing === "running") return [el("div", { class: "card" }, `The sensor counts … ${now.running_s.toFixed(0)} s`)];
-  return [...(now.result && !problem ? outcome(now) : []), wrong, ...form(desk, now, counting)];
+  return [...(now.result && !problem ? outcome(now, counting) : []), wrong, ...form(desk, now, counting)];
 }
 
 /** @param {Desk} desk @param {AuditState} state @param {Sheet} now */
 function form(desk, state, now) {
+  const all = now.frames.length;
   const answered = now.frames.filter((_, k) => isAnswered(now, k)).length;
-  const counted = now.frames.filter((_, k) => !now.skipped[k] && isCounted(now, k)).length;
-  const ready = answered === now.frames.length && counted >= LEAST;
+  const counted = now.frames.filter((_, k) => isCounted(now, k)).length;
+  const partial = now.frames.flatMap((_, k) => (isPartial(now, k) ? k + 1 : []));
+  const ready = partial.length === 0 && counted >= LEAST;
   const contradicted = desk.kept.contradiction ?? "";
   const shown = desk.frame !== null && desk.site.frames[desk.frame] === now.frames[now.at];
   return [
     el("h3", { text: `Picture ${now.at + 1} of ${now.frames.length}` }),
     el("div", { class: "dots" }, ...now.frames.map((frame, k) =>
       el("button", {
-        class: `dot ${contradicted.includes(frame) ? "bad" : now.skipped[k] ? "out" : isCounted(now, k) ? "done" : ""}`,
+        class: `dot ${contradicted.includes(frame) || (k !== now.at && isPartial(now, k)) ? "bad" : now.skipped[k] ? "out" : isCounted(now, k) ? "done" : ""}`,
         "aria-current": k === now.at && "true", title: frame, onclick: () => go(desk, k),
       }, String(k + 1)))),
     !shown && el("div", { class: "actions" }, el("button", { onclick: () => go(desk, now.at) }, "Show the picture that is counted")),
-    ...state.lanes.map((lane, l) => field(desk, now, lane, l)),
+    ...state.lanes.flatMap((lane, l) => field(desk, now, lane, l)),
     el("p", { class: "dim", text: "A vehicle stands in the lane where the middle of its lower edge is. Motorcycles count, bicycles do not; a third of a vehicle must be seen." }),
     el("div", { class: "actions" },
-      el("button", { class: ready ? "primary" : "", id: "compare", disabled: !ready, onclick: () => compare(desk) }, ready ? "Compare with the sensor" : `${answered} of ${now.frames.length} counted`),
+      el("button", { class: ready && answered === all ? "primary" : "", id: "compare", disabled: !ready, onclick: () => compare(desk) },
+        !ready ? `${answered} of ${all} counted` : answered === all ? "Compare with the sensor" : `Compare with ${counted} of ${all}`),
       el("button", { id: "skip", "aria-pressed": String(now.skipped[now.at]), onclick: () => skip(desk, now) }, "Cannot be counted")),
     el("p", { class: "dim" }, el("kbd", { text: "Enter" }), " goes to the next lane and the next picture."),
-    answered === now.frames.length && counted < LEAST && el("p", { class: "bad-text", text: `${LEAST} pictures are the fewest from which anything follows.` }),
+    partial.length > 0 && el("p", { class: partial.some((k) => k !== now.at + 1) ? "bad-text" : "dim", id: "partial", text: `Count every lane of picture ${partial.join(", ")}, or say that it cannot be counted.` }),
+    ready && answered < all && el("p", { class: "dim", text: "A picture whose counts are empty is left out. More pictures make the audit surer." }),
+    answered === all && counted < LEAST && el("p", { class: "bad-text", text: `${LEAST} pictures are the fewest from which anything follows.` }),
   ];
 }
 
@@ -182,24 +192,23 @@ function skip(desk, now) {
 function field(desk, now, lane, l) {
   // Each picture has fields of its own: what is typed for one must not show in the next.
   const name = key(now, l);
-  const value = now.counts[now.at][l];
+  const typed = now.typed[now.at][l];
+  const wrong = typed.trim() !== "" && !isCount(typed);
   const swatch = el("span", { class: "swatch", text: String(lane) });
   swatch.style.background = laneColour(lane);
   const input = el("input", {
     class: "metres", type: "text", inputmode: "numeric", data: { key: name }, id: `count-${l}`, disabled: now.skipped[now.at],
-    value: value === null ? "" : String(value), "aria-label": `vehicles in lane ${lane}`, autocomplete: "off",
+    value: typed, "aria-label": `vehicles in lane ${lane}`, "aria-invalid": wrong && "true", autocomplete: "off",
     oninput: () => {
-      const text = input.value.trim();
-      const number = /^\d+$/.test(text) && Number(text) <= MOST ? Number(text) : null;
-      input.setAttribute("aria-invalid", String(text !== "" && number === null));
-      now.counts[now.at][l] = number;
+      now.typed[now.at][l] = input.value;
+      desk.render();
     },
     onkeydown: (/** @type {KeyboardEvent} */ event) => {
       if (event.key !== "Enter") return;
       event.preventDefault();
       event.stopPropagation();
-      if (now.counts[now.at][l] === null) return;
-      if (l + 1 < now.counts[now.at].length) {
+      if (!isCount(now.typed[now.at][l])) return;
+      if (l + 1 < now.typed[now.at].length) {
         now.focus = key(now, l + 1);
         focus(desk);
       } else {
@@ -213,11 +222,14 @@ function field(desk, now, lane, l) {
       }
     },
   });
-  return el("label", { class: "row count" }, swatch, el("span", { text: `Vehicles in lane ${lane}` }), input);
+  return [
+    el("label", { class: "row count" }, swatch, el("span", { text: `Vehicles in lane ${lane}` }), input),
+    wrong && el("span", { class: "bad-text", role: "alert", text: `a whole number from 0 to ${MOST}` }),
+  ];
 }
 
-/** @param {AuditState} now */
-function outcome(now) {
+/** @param {AuditState} now @param {Sheet} counting */
+function outcome(now, counting) {
   const result = /** @type {NonNullable<AuditState["result"]>} */ (now.result);
   const { correction, frames } = result;
   const [stated, found] = [result.stated_score, correction.score ?? result.stated_score].map((x) => x.toFixed(2));
@@ -230,7 +242,7 @@ function outcome(now) {
   });
   return [
     el("div", { class: "card good", id: "audited" },
-      el("b", { text: `Audited with ${frames.length} pictures and ${result.vehicles} vehicles. ` }),
+      el("b", { text: `Audited with ${many(frames.length, "picture")} and ${many(result.vehicles, "vehicle")}. ` }),
       found === stated ? `Boxes count from a score of ${stated}, as the model has it.` : `Boxes count from a score of ${found} here, in place of ${stated}.`,
       el("div", { class: "dim" }, "Saved as ", el("code", { text: "audit.toml" }), ", named in ", el("code", { text: "verge.toml" }), ".")),
     said.length
@@ -239,6 +251,6 @@ function outcome(now) {
     el("h3", { text: "Picture by picture" }),
     el("table", { id: "audit-frames" },
       el("tr", {}, el("th", { text: "picture" }), el("th", { text: "you" }), el("th", { text: "sensor" })),
-      ...frames.map((frame, k) => el("tr", {}, el("td", { title: frame.frame, text: String(k + 1) }), el("td", { text: String(frame.people) }), el("td", { class: frame.people === frame.line ? "" : "fair-text", text: String(frame.line) })))),
+      ...frames.map((frame) => el("tr", {}, el("td", { title: frame.frame, text: String(counting.frames.indexOf(frame.frame) + 1) }), el("td", { text: String(frame.people) }), el("td", { class: frame.people === frame.line ? "" : "fair-text", text: String(frame.line) })))),
   ];
 }

@@ -1,6 +1,6 @@
 // Pictures from a camera: how long, how often, and how far it is.
 
-import { byId, el, fill } from "./elements.js";
+import { byId, el, fill, many } from "./elements.js";
 import * as server from "./server.js";
 
 /** @typedef {import("./types.js").CollectionState} CollectionState */
@@ -46,7 +46,13 @@ export function collect(first) {
     const done = async () => {
       if (over) return;
       over = true;
-      await server.useCollected();
+      try {
+        await server.useCollected();
+      } catch (error) {
+        over = false;
+        problem = /** @type {Error} */ (error).message;
+        return render();
+      }
       live.hidden = true;
       byId("canvas").hidden = false;
       byId("busy").textContent = "Reading the pictures …";
@@ -79,7 +85,7 @@ export function collect(first) {
       await ask(server.stopCollecting);
       done();
     };
-    const use = () => el("button", { id: "use", onclick: done }, `Go on with the ${state.pictures} that are there`);
+    const use = () => el("button", { id: "use", onclick: done }, `Go on with ${many(state.pictures, "picture that is there", "pictures that are there")}`);
 
     const idle = () => {
       const length = choice("for", "For how long", LENGTHS, state.for_s);
@@ -97,15 +103,15 @@ export function collect(first) {
     const running = () => {
       const bar = el("i");
       bar.style.width = `${Math.min(100, (100 * state.running_s) / state.for_s)}%`;
-      const many = state.collected;
+      const n = state.collected;
       return [
         el("div", { class: "card" },
-          el("div", { class: "big", id: "collected", text: `${many} picture${many === 1 ? "" : "s"}` }),
+          el("div", { class: "big", id: "collected", text: many(n, "picture") }),
           el("div", { class: "dim", text: `${clock(state.running_s)} of ${clock(state.for_s)}, one every ${state.interval_s} s` }),
           el("div", { class: "progress" }, bar)),
         (state.problem || problem) && el("div", { class: "card fair", text: state.problem || problem }),
-        many > 0 && many < FEW && el("p", { class: "dim", text: `With fewer than ${FEW} pictures vehicles stay in the picture without traffic.` }),
-        el("div", { class: "actions" }, el("button", { class: many >= FEW ? "primary" : "", id: "enough", disabled: many === 0, onclick: stop }, `Enough: go on with ${state.pictures}`)),
+        n > 0 && n < FEW && el("p", { class: "dim", text: `With fewer than ${FEW} pictures vehicles stay in the picture without traffic.` }),
+        el("div", { class: "actions" }, el("button", { class: n >= FEW ? "primary" : "", id: "enough", disabled: n === 0, onclick: stop }, `Enough: go on with ${state.pictures}`)),
         el("p", { class: "dim", text: "This page may be closed meanwhile: the pictures go on into the folder." }),
       ];
     };

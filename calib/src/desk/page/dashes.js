@@ -1,6 +1,6 @@
 // The dashes of the drawn lines, found in the picture without traffic: lengths that nobody clicks.
 
-import { el } from "./elements.js";
+import { el, many } from "./elements.js";
 import * as server from "./server.js";
 
 /** @typedef {import("./main.js").Desk} Desk */
@@ -32,7 +32,7 @@ async function look(desk) {
     }
     kept.dashes = found.map((f) => f.pitch_m === null
       ? `line ${number(f.line)}: ${f.problem}`
-      : `line ${number(f.line)}: ${f.points.length} dashes, ${f.pitch_m.toFixed(1)} m from one to the next as the camera is known now`);
+      : `line ${number(f.line)}: ${many(f.points.length, "dash", "dashes")}, ${f.pitch_m.toFixed(1)} m from one to the next as the camera is known now`);
   } catch (error) {
     kept.dashes = [/** @type {Error} */ (error).message];
   }

@@ -1,6 +1,6 @@
 // Step 3: the lanes, each with its number, its direction and what it measures.
 
-import { el, percent } from "./elements.js";
+import { el, many, percent } from "./elements.js";
 import { area, arrow, COLOURS, knob, label, laneColour, middle, stroke } from "./paint.js";
 import { distance, isInside, nearestOn } from "./tools.js";
 
@@ -15,6 +15,12 @@ import { distance, isInside, nearestOn } from "./tools.js";
 /** How near a point is drawn onto a line, screen px. */
 const SNAP = 9;
 const MOST_LANES = 8;
+const FULL = `${MOST_LANES} lanes are the most that the sensor counts of one camera. Remove one to draw another.`;
+/** A double click's second point lies so near to its first, px of the picture. */
+const SAME_PX = 1.5;
+
+/** @param {Desk} desk */
+const isFull = (desk) => desk.store.drawing.lanes.length >= MOST_LANES;
 
 /** @param {Desk} desk */
 function freeNumber(desk) {
@@ -25,10 +31,15 @@ function freeNumber(desk) {
 
 /** The direction that is set for new lanes: none until one was chosen. @param {Desk} desk @param {Px[]} polygon */
 function addLane(desk, polygon) {
-  if (desk.store.drawing.lanes.length >= MOST_LANES) return;
+  if (isFull(desk)) return desk.say(FULL);
   const number = freeNumber(desk);
   desk.store.edit((d) => d.lanes.push({ number, direction: "", widens: false, polygon }));
   desk.select({ kind: "lane", index: desk.store.drawing.lanes.length - 1 });
+}
+
+/** @param {Desk} desk */
+function takeAll(desk) {
+  for (const strip of free(desk)) addLane(desk, strip.outline.map((p) => [p[0], p[1]]));
 }
 
 /** Whether a lane was drawn there already. @param {Desk} desk @param {Px[]} outline */
@@ -45,14 +56,17 @@ function tools(desk) {
   /** @type {(kind: "lane" | "ignored") => (hand: Hand) => void} */
   const close = (kind) => (hand) => {
     const points = hand.pending;
+    const least = kind === "lane" ? 4 : 3;
+    if (points.length > 1 && distance(points[points.length - 1], points[points.length - 2]) < SAME_PX) points.pop();
+    if (points.length && points.length < least) desk.say(`${least} corners are the fewest: click on.`);
+    if (points.length < least) return;
     hand.pending = [];
-    if (points.length > 4 && distance(points[points.length - 1], points[points.length - 2]) < 1.5) points.pop();
-    if (points.length < 4 - Number(kind === "ignored")) return;
     if (kind === "lane") addLane(desk, points);
     else desk.store.edit((d) => d.ignored.push(points));
   };
   /** @type {(kind: "lane" | "ignored") => Tool["click"]} */
   const click = (kind) => (at, hand) => {
+    if (kind === "lane" && isFull(desk)) return desk.say(FULL);
     const [first] = hand.pending;
     const closes = hand.pending.length > 2 && first && distance(at, first) * desk.stage.placed.scale < SNAP;
     if (closes) close(kind)(hand);
@@ -143,8 +157,9 @@ export const step = {
       el("h2", { text: "The lanes" }),
       !desk.look?.camera && el("div", { class: "card bad", text: "There is no camera yet: lanes are measured once the road is." }),
       desk.look?.lanes_problem ? el("div", { class: "card bad", id: "lanes-problem", text: desk.look.lanes_problem }) : null,
+      isFull(desk) && el("p", { class: "fair-text", id: "lanes-full", text: FULL }),
       !drawing.lanes.length && el("p", { class: "dim", text: waiting ? "Click between the lane lines, or take all of them at once." : "Outline each lane by itself." }),
-      waiting > 0 && el("button", { class: "primary", id: "all-lanes", onclick: () => free(desk).forEach((s) => addLane(desk, s.outline.map((p) => [p[0], p[1]]))) }, `Take all ${waiting} between the lines`),
+      waiting > 0 && el("button", { class: "primary", id: "all-lanes", onclick: () => takeAll(desk) }, waiting === 1 ? "Take the one between the lines" : `Take all ${waiting} between the lines`),
       undirected && drawing.lanes.length > 1 && el("div", { class: "actions" },
         el("span", { class: "dim", text: "All that have no direction:" }),
         el("button", { class: "small", id: "all-toward", onclick: () => all("toward") }, "↓ toward"),
@@ -152,7 +167,7 @@ export const step = {
       el("div", { class: "list", id: "lanes" }, ...drawing.lanes.map((_, index) => laneItem(desk, index))),
       drawing.ignored.length > 0 && el("h3", { text: "Ignored" }),
       el("div", { class: "list" }, ...drawing.ignored.map((p, index) => el("div", { class: "item", onclick: () => desk.select({ kind: "ignored", index }) },
-        el("span", { class: "swatch" }), el("span", { class: "dim", text: `${p.length} corners` }),
+        el("span", { class: "swatch" }), el("span", { class: "dim", text: many(p.length, "corner") }),
         el("button", { class: "close", "aria-label": `remove ignored ${index + 1}`, onclick: () => { desk.selection = { kind: "ignored", index }; desk.remove(); } }, "×")))),
       el("div", { class: "actions" },
         el("button", { class: isGood(desk) ? "primary" : "", id: "next", onclick: () => desk.go(3) }, "See it count")),

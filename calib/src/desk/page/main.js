@@ -3,6 +3,8 @@
 import * as audit from "./audit.js";
 import { collect } from "./collect.js";
 import { byId, el, fill, percent } from "./elements.js";
+import { carry, wrongFields } from "./fields.js";
+import * as keys from "./keys.js";
 import * as lanes from "./lanes.js";
 import { ERRORS } from "./paint.js";
 import * as pictures from "./pictures.js";
@@ -10,8 +12,8 @@ import * as road from "./road.js";
 import * as save from "./save.js";
 import * as server from "./server.js";
 import { Stage } from "./stage.js";
-import { Store } from "./store.js";
-import { Hand, moveHandle, remove, handles } from "./tools.js";
+import { isBlank, Store } from "./store.js";
+import { Hand, lists, remove } from "./tools.js";
 import * as traffic from "./traffic.js";
 
 /** @typedef {import("./types.js").Px} Px */
@@ -27,6 +29,7 @@ import * as traffic from "./traffic.js";
  * @property {"" | Handle["kind"]} takes the points that it takes in place of a click
  * @property {string} hint
  * @property {boolean} [closes]
+ * @property {boolean} [begins] whether a click on a point that it takes begins something new there
  * @property {(at: Px, hand: Hand, event: PointerEvent) => void} click
  * @property {(hand: Hand) => void} [finish]
  */
@@ -54,7 +57,9 @@ export class Desk {
   /** @param {import("./types.js").Site} site */
   constructor(site) {
     this.site = site;
-    this.store = new Store(site.drawing);
+    this.store = new Store(site.drawing, site.saved);
+    /** The drawing of the server that this one goes on from. */
+    this.version = site.version;
     /** @type {import("./types.js").Look | null} */
     this.look = null;
     this.hand = new Hand(this);
@@ -78,9 +83,13 @@ export class Desk {
     this.isLooking = false;
     this.isStale = true;
     this.failure = "";
+    /** What was just done or refused, until the next click or key. */
+    this.notice = "";
+    /** Fields whose text is no number, by whose text it is. @type {Map<unknown, import("./fields.js").Wrong>} */
+    this.wrong = new Map();
     /** What single steps keep. @type {Record<string, any>} */
     this.kept = {};
-    this.store.onChange(() => this.changed());
+    this.store.onChange((before) => this.changed(before));
     this.listen();
   }
 
@@ -99,9 +108,9 @@ export class Desk {
 
   /** @param {number} at */
   go(at) {
-    this.at = at;
+    this.leave();
+    this.at = Math.min(Math.max(at, 0), STEPS.length - 1);
     this.selection = null;
-    this.hand.pending = [];
     this.tools = this.step.tools(this);
     this.tool = this.tools[0] ?? null;
     this.step.enter?.(this);
@@ -110,13 +119,42 @@ export class Desk {
 
   /** @param {Tool | null} tool */
   take(tool) {
+    this.leave();
     this.tool = tool;
-    this.hand.pending = [];
     this.render();
+  }
+
+  /** What is half drawn is finished where it can be; what cannot is said to be gone. */
+  leave() {
+    const { hand, tool } = this;
+    hand.withdraw();
+    if (!hand.pending.length || !tool) return;
+    tool.finish?.(hand);
+    const what = `what was half drawn (${tool.name})`;
+    this.say(hand.pending.length ? `Dropped ${what}: it had too few points.` : `Finished ${what}. Ctrl+Z takes it back.`);
+    hand.cancel();
+  }
+
+  /** @param {string} notice */
+  say(notice) {
+    this.notice = notice;
+    this.renderHint();
+  }
+
+  unsay() {
+    if (this.notice) this.say("");
+  }
+
+  undo() {
+    const { hand } = this;
+    if (hand.isOffered || !hand.pending.length) this.store.undo();
+    else hand.pending.pop();
+    this.stage.paint();
   }
 
   /** @param {Selection} selection */
   select(selection) {
+    this.hand.withdraw();
     this.selection = selection;
     this.render();
   }
@@ -141,12 +179,26 @@ export class Desk {
     return lanes.snapped(this, at, held);
   }
 
-  changed() {
+  /** @param {import("./types.js").Drawing | null} before what an undo or redo has replaced */
+  changed(before) {
+    if (before) this.swapped(before);
     this.isStale = true;
+    this.kept.saveProblem = "";
     document.body.dataset.calm = "false";
     this.render();
     clearTimeout(this.kept.soon);
     this.kept.soon = setTimeout(() => this.measure(), SOON_MS);
+  }
+
+  /** After an undo or redo: what is selected or held may be gone. @param {import("./types.js").Drawing} before */
+  swapped(before) {
+    const { hand, selection, store } = this;
+    const size = (/** @type {import("./types.js").Drawing} */ d) => (selection ? lists(d)[selection.kind].length : 0);
+    if (size(before) !== size(store.drawing)) this.selection = null;
+    hand.withdraw();
+    hand.held = null;
+    this.kept.key = 0;
+    carry(this, before);
   }
 
   async measure() {
@@ -157,7 +209,7 @@ export class Desk {
       this.look = await server.look(this.store.drawing);
       this.failure = "";
     } catch (error) {
-      this.failure = `the program does not answer: ${/** @type {Error} */ (error).message}`;
+      this.failure = /** @type {Error} */ (error).message;
     }
     this.isLooking = false;
     this.render();
@@ -179,8 +231,8 @@ export class Desk {
       this.kept.shift = shift?.sure ? shift.by : [0, 0];
       this.stage.show(image, this.kept.shift);
       this.kept.pictureProblem = "";
-    } catch {
-      this.kept.pictureProblem = `${name} cannot be shown`;
+    } catch (error) {
+      this.kept.pictureProblem = `${name ?? ""} ${/** @type {Error} */ (error).message}`;
     }
     this.render();
   }
@@ -222,9 +274,7 @@ export class Desk {
         : []),
     );
     this.stage.loupe = this.magnifier && this.tools.length > 0;
-    const hint = this.failure || this.tool?.hint || this.step.hint(this);
-    byId("hint").textContent = hint;
-    byId("hint").className = this.failure ? "bad-text" : "";
+    this.renderHint();
     this.renderBackdrops();
     fill(byId("panel"), this.movedCard(), this.siteProblem(), ...this.step.panel(this));
     fill(
@@ -243,6 +293,13 @@ export class Desk {
     this.stage.paint();
   }
 
+  renderHint() {
+    const hint = byId("hint");
+    const problem = this.failure || this.kept.pictureProblem;
+    hint.textContent = problem || this.notice || this.tool?.hint || this.step.hint(this);
+    hint.className = problem ? "bad-text" : this.notice ? "fair-text" : "";
+  }
+
   /** @param {Tool | null} tool @param {string} name @param {string} key */
   toolButton(tool, name, key) {
     return el("button", { "aria-pressed": String(this.tool === tool), data: { tool: name }, onclick: () => this.take(tool) }, name, el("kbd", { text: key }));
@@ -258,7 +315,6 @@ export class Desk {
       frame !== null && el("button", { class: "small", title: "Previous picture (,)", onclick: () => this.show(frame - 1) }, "‹"),
       frame !== null && el("span", { class: "name", text: name }),
       frame !== null && el("button", { class: "small", title: "Next picture (.)", onclick: () => this.show(frame + 1) }, "›"),
-      el("span", { class: "name" }, this.kept.pictureProblem || ""),
       el("button", { class: "small", title: "Magnifier (M)", "aria-pressed": String(this.magnifier), onclick: () => { this.magnifier = !this.magnifier; this.render(); } }, "Magnifier"),
       el("button", { class: "small", title: "Whole picture (0)", onclick: () => this.stage.fit() }, "Fit"),
     );
@@ -291,93 +347,23 @@ export class Desk {
   }
 
   listen() {
-    byId("undo").addEventListener("click", () => this.store.undo());
+    byId("undo").addEventListener("click", () => this.undo());
     byId("redo").addEventListener("click", () => this.store.redo());
-    window.addEventListener("keydown", (event) => this.pressed(event));
-    window.addEventListener("keyup", (event) => {
-      if (event.key === " ") this.stage.space = false;
-    });
+    keys.listen(this);
+    window.addEventListener("pointerdown", () => this.unsay(), { capture: true });
     window.addEventListener("beforeunload", (event) => {
-      if (this.store.changed) event.preventDefault();
+      if (this.store.changed || wrongFields(this).length) event.preventDefault();
     });
-  }
-
-  /** @param {KeyboardEvent} event */
-  pressed(event) {
-    const target = /** @type {HTMLElement} */ (event.target);
-    const typing = target.tagName === "INPUT" || target.tagName === "SELECT";
-    const control = event.ctrlKey || event.metaKey;
-    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    if (control && (key === "z" || key === "y")) {
-      if (typing) target.blur();
-      event.preventDefault();
-      if (key === "y" || event.shiftKey) this.store.redo();
-      else if (this.hand.pending.length) this.hand.pending.pop();
-      else this.store.undo();
-      this.stage.paint();
-      return;
-    }
-    if (typing || control || event.altKey) return;
-    if (this.did(key, event)) event.preventDefault();
-  }
-
-  /** @param {string} key @param {KeyboardEvent} event @returns {boolean} whether it means something */
-  did(key, event) {
-    const onButton = /** @type {HTMLElement} */ (event.target).tagName === "BUTTON";
-    if (key === "Enter" && !onButton) this.hand.finish();
-    else if (key === "Escape") {
-      if (this.hand.pending.length) this.hand.cancel();
-      else this.select(null);
-    } else if ((key === "Delete" || key === "Backspace") && this.selection) this.remove();
-    else if (key === "Backspace" && this.hand.pending.length) {
-      this.hand.pending.pop();
-      this.stage.paint();
-    } else if (key.startsWith("Arrow")) return this.nudge(key, event.shiftKey ? 2 : 0.25);
-    else if (key === "+" || key === "=") this.stage.zoom(1.25);
-    else if (key === "-") this.stage.zoom(0.8);
-    else if (key === "0") this.stage.fit();
-    else if (key === "m") {
-      this.magnifier = !this.magnifier;
-      this.render();
-    } else if (key === "b") this.show(this.frame === null ? 0 : null);
-    else if (key === ",") this.show((this.frame ?? 1) - 1);
-    else if (key === ".") this.show((this.frame ?? -1) + 1);
-    else if (key === " " && !onButton) this.stage.space = true;
-    else if (key === "v" && this.tools.length) this.take(null);
-    else if (/^F?[1-6]$/.test(key) && event.shiftKey) this.go(Number(key.replace("F", "")) - 1);
-    else if (key === "PageDown") this.go(Math.min(this.at + 1, STEPS.length - 1));
-    else if (key === "PageUp") this.go(Math.max(this.at - 1, 0));
-    else {
-      const tool = this.tools.find((t) => t.key.toLowerCase() === key);
-      if (tool) this.take(tool);
-      else return this.step.key?.(this, key) ?? false;
-    }
-    return true;
   }
 
   remove() {
     const { selection } = this;
     if (!selection) return;
+    this.hand.withdraw();
+    this.hand.held = null;
     this.selection = null;
+    this.kept.key = 0;
     this.store.edit((d) => remove(d, selection));
-  }
-
-  /** Moves the point under the mouse, else all points of what is selected. @param {string} key @param {number} px */
-  nudge(key, px) {
-    const { selection } = this;
-    const { mouse } = this.stage;
-    const near = mouse && this.hand.near(this.stage.toPicture(mouse));
-    const moved = handles(this.store.drawing, this.movable()).filter((h) =>
-      near ? h.kind === near.kind && h.index === near.index && h.point === near.point
-        : selection && h.kind === selection.kind && h.index === selection.index,
-    );
-    if (!moved.length) return false;
-    const by = { ArrowLeft: [-px, 0], ArrowRight: [px, 0], ArrowUp: [0, -px], ArrowDown: [0, px] }[key] ?? [0, 0];
-    this.store.edit(
-      (d) => moved.forEach((h) => moveHandle(d, h, [h.at[0] + by[0], h.at[1] + by[1]])),
-      `nudge ${moved[0].kind} ${moved[0].index}`,
-    );
-    return true;
   }
 }
 
@@ -388,12 +374,13 @@ async function open() {
     const isAsked = camera.camera && (camera.state === "running" || camera.pictures === 0 || location.hash === "#collect");
     if (isAsked) await collect(camera);
     if (location.hash) history.replaceState(null, "", location.pathname);
-    const desk = new Desk(await server.site());
-    pictures.prefill(desk);
+    const site = await server.site();
+    pictures.prefill(site);
+    const desk = new Desk(site);
     await desk.showPicture();
     desk.stage.fit();
     busy.hidden = true;
-    desk.go(desk.site.saved ? 1 : 0);
+    desk.go(isBlank(site.drawing) ? 0 : 1);
     desk.measure();
   } catch (error) {
     busy.textContent = `${/** @type {Error} */ (error).message}`;

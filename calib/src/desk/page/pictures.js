@@ -1,7 +1,8 @@
 // Step 1: the pictures, and what the site and its camera are called.
 
-import { el } from "./elements.js";
+import { el, many } from "./elements.js";
 import { pictureAddress } from "./server.js";
+import { isBlank } from "./store.js";
 
 /** @typedef {import("./main.js").Desk} Desk */
 /** @typedef {import("./main.js").Step} Step */
@@ -9,14 +10,13 @@ import { pictureAddress } from "./server.js";
 /** Most pictures that are listed. */
 const MOST = 24;
 
-/** Names a new site after its folder. @param {Desk} desk */
-export function prefill(desk) {
-  const { drawing } = desk.store;
-  const parts = desk.site.folder.split("/").filter((part) => part && !["site", "frames", "."].includes(part));
+/** Names a new site after its folder. @param {import("./types.js").Site} site */
+export function prefill({ drawing, folder, source }) {
+  const parts = folder.split("/").filter((part) => part && !["site", "frames", "."].includes(part));
   const name = (parts.pop() ?? "camera").replace(/[^\p{L}\p{N}_.-]/gu, "-").slice(0, 24);
   if (!drawing.site) drawing.site = name;
   if (!drawing.camera_id) drawing.camera_id = name;
-  if (!drawing.source && desk.site.source) drawing.source = desk.site.source;
+  if (!drawing.source && source) drawing.source = source;
 }
 
 /** @type {Step} */
@@ -26,7 +26,7 @@ export const step = {
   tools: () => [],
   paint: () => {},
   hint: () => "Is the road in view, and is the picture without traffic free of vehicles?",
-  done: (desk) => desk.at > 0 || desk.site.saved,
+  done: (desk) => desk.at > 0 || !isBlank(desk.store.drawing),
   panel(desk) {
     const { site } = desk;
     const out = new Map(site.left_out);
@@ -35,9 +35,10 @@ export const step = {
     const few = site.used.length < 7;
     return [
       el("h2", { text: "Pictures" }),
-      el("p", { class: "dim" }, `${site.frames.length} pictures of ${site.image_size.join(" × ")} px in the folder.`),
+      el("p", { class: "dim" }, `${many(site.frames.length, "picture")} of ${site.image_size.join(" × ")} px in the folder.`),
       el("div", { class: `card ${few ? "fair" : "good"}` },
-        `The picture without traffic is the median of ${site.used.length} of them, brought over each other.`,
+        site.used.length === 1 ? "The picture without traffic is one of them as it is."
+          : `The picture without traffic is the median of ${site.used.length} of them, brought over each other.`,
         few && el("div", { class: "fair-text", text: "With so few, vehicles may stay in it: " + (site.camera ? "collect more." : "put more pictures into the folder.") }),
       ),
       out.size > 0 && el("div", { class: "card fair", id: "left-out" },

@@ -2,8 +2,10 @@
 
 import { carFigure } from "./car.js";
 import { dashes } from "./dashes.js";
-import { el, metres, percent } from "./elements.js";
+import { el, many, percent } from "./elements.js";
+import * as fields from "./fields.js";
 import { COLOURS, dots, errorColour, knob, label, middle, stroke } from "./paint.js";
+import { distance } from "./tools.js";
 
 /** @typedef {import("./types.js").Px} Px */
 /** @typedef {import("./main.js").Desk} Desk */
@@ -14,26 +16,32 @@ import { COLOURS, dots, errorColour, knob, label, middle, stroke } from "./paint
 /** A length whose residual is beyond so many standard deviations contradicts the others. */
 const CONTRADICTION = 4;
 const KEY_POINTS = 13;
+/** A double click's second point lies so near to its first, px of the picture. */
+const SAME_PX = 1.5;
+
+/** @param {import("./types.js").LengthLook | null | undefined} fit */
+export const isOff = (fit) => !!fit && fit.in_sd > CONTRADICTION;
 
 /** @param {Desk} desk @returns {Tool[]} */
 function tools(desk) {
   /** @param {Hand} hand */
   const endLine = (hand) => {
     const points = hand.pending;
-    hand.pending = [];
     // A double click sets its point twice.
-    const last = points[points.length - 1];
-    if (points.length > 2 && Math.hypot(last[0] - points[points.length - 2][0], last[1] - points[points.length - 2][1]) < 1.5) points.pop();
+    if (points.length > 1 && distance(points[points.length - 1], points[points.length - 2]) < SAME_PX) points.pop();
+    if (points.length === 1) desk.say("A line needs two points.");
     if (points.length < 2) return;
+    hand.pending = [];
     const id = 1 + Math.max(0, ...desk.store.drawing.lines.map((l) => l.id));
     desk.store.edit((d) => d.lines.push({ id, points }));
     desk.select({ kind: "line", index: desk.store.drawing.lines.length - 1 });
   };
   return [
     {
-      name: "Length", key: "L", colour: COLOURS.length, takes: "length",
-      hint: "Click both ends of a known length on the road, then type its metres. First one along the road near the camera, then one far from it.",
+      name: "Length", key: "L", colour: COLOURS.length, takes: "length", begins: true,
+      hint: "Click both ends of a known length on the road, then type its metres. First one along the road near the camera, then one far from it. An end that is there can be dragged, and a click on it begins the next length.",
       click(at, hand) {
+        if (hand.pending.length && distance(hand.pending[0], at) < SAME_PX) return;
         hand.pending.push(at);
         if (hand.pending.length < 2) return;
         const points = hand.pending;
@@ -125,7 +133,7 @@ export const step = {
     });
     drawing.lengths.forEach((s, k) => {
       const fit = look?.lengths[k];
-      const colour = fit && (fit.in_sd > CONTRADICTION || fit.is_contradicted) ? COLOURS.bad : COLOURS.length;
+      const colour = isOff(fit) || fit?.is_contradicted ? COLOURS.bad : COLOURS.length;
       stroke(c, placed, s.points, colour, { width: 2.5 });
       s.points.forEach((p) => knob(c, placed, p, colour, isChosen("length", k)));
       label(c, placed, middle(s.points), s.metres ? `${k + 1}: ${s.metres} m` : s.standard ? `${k + 1}: ${s.standard}` : `${k + 1}: ? m`, colour, -16);
@@ -171,7 +179,7 @@ function cameraCard(desk) {
     el("div", { class: "facts", id: "across", title: `Of a stretch of 6 m across the road: beyond ${percent(camera.limits.across)} a vehicle could count in the wrong lane` },
       el("span", { class: "dim", text: "across the road" }),
       ...camera.errors.map((e, k) => el("span", { class: e.across > camera.limits.across ? "bad-text" : "", text: `${names[k]} ± ${percent(e.across)}` }))),
-    camera.traffic && el("div", { class: "dim", text: `${camera.traffic.used} vehicles agree; cars here would be ${(100 * camera.traffic.longer).toFixed(1)} % longer than most fleets (± ${(100 * camera.traffic.longer_sd).toFixed(1)} %)` }),
+    camera.traffic && el("div", { class: "dim", text: `${many(camera.traffic.used, "vehicle agrees", "vehicles agree")}; cars here would be ${(100 * camera.traffic.longer).toFixed(1)} % longer than most fleets (± ${(100 * camera.traffic.longer_sd).toFixed(1)} %)` }),
   );
 }
 
@@ -183,7 +191,9 @@ function lengths(desk) {
     el("h3", { text: "Lengths" }),
     el("div", { class: "list", id: "lengths" }, ...drawing.lengths.map((s, index) => {
       const fit = desk.look?.lengths[index];
-      const off = fit && fit.in_sd > CONTRADICTION;
+      const off = isOff(fit);
+      const field = fields.metresOf(s, index);
+      const wrong = s.standard === null ? fields.reason(desk, field) : null;
       const select = el("select", {
         "aria-label": `length ${index + 1}: measured or a standard`, title: "A tape's length, or dash and gap as a country paints them",
         onchange: () => desk.store.edit((d) => { d.lengths[index].standard = select.value || null; }),
@@ -191,13 +201,14 @@ function lengths(desk) {
       el("option", { value: "", text: "measured" }),
       ...desk.site.standards.map((t) => el("option", { value: t.name, title: `${t.what}: ${t.pitch_m.toFixed(2)} m from dash to dash`, text: `${t.name} (${t.pitch_m.toFixed(1)} m)` })));
       select.value = s.standard ?? "";
-      return item(desk, "length", index, COLOURS.length, String(index + 1), off || fit?.is_contradicted ? "bad" : "",
+      return item(desk, "length", index, COLOURS.length, String(index + 1), off || fit?.is_contradicted || wrong ? "bad" : "",
         el("span", { class: "controls" },
-          s.standard === null && metres(`length-${index}`, s.metres, (value) => desk.store.edit((d) => { d.lengths[index].metres = value; }, `length ${index}`)),
+          s.standard === null && fields.input(desk, field),
           select,
         ),
+        wrong,
         fit ? el("span", { class: `wide ${off ? "bad-text" : "dim"}`, text: `measures ${fit.measured_m.toFixed(2)} m, ${percent(Math.abs(fit.measured_m / fit.known_m - 1))} ${fit.measured_m > fit.known_m ? "more" : "less"} (${fit.in_sd.toFixed(1)} sd)${off && !fit.doubt ? ": look at its ends and its metres" : ""}` })
-          : s.standard === null && s.metres === null ? el("span", { class: "wide fair-text", text: "type its metres" }) : null,
+          : s.standard === null && s.metres === null && !wrong ? el("span", { class: "wide fair-text", text: "type its metres" }) : null,
         fit?.doubt ? el("span", { class: `wide ${fit.is_contradicted ? "bad-text" : "fair-text"}`, id: `doubt-${index}`, text: fit.doubt }) : null,
       );
     })),
@@ -243,7 +254,7 @@ function lines(desk) {
   return [
     el("h3", { text: "Lane lines" }),
     el("div", { class: "list" },
-      ...drawing.lines.map((l, index) => item(desk, "line", index, COLOURS.line, String(index + 1), "", el("span", { class: "dim", text: `${l.points.length} points` }), null)),
+      ...drawing.lines.map((l, index) => item(desk, "line", index, COLOURS.line, String(index + 1), "", el("span", { class: "dim", text: many(l.points.length, "point") }), null)),
       ...(desk.look?.strips ?? []).map((s) => {
         const [a, b] = s.lines.map((id) => place.get(id) ?? 0);
         const width = s.width_m;
@@ -267,11 +278,11 @@ function known(desk) {
   const { traffic } = desk.site;
   return [
     el("h3", { text: "Known besides" }),
-    el("label", { class: "row" }, el("span", { text: "Width of the lanes" }), metres("lane width", drawing.lane_width_m, (value) => desk.store.edit((d) => { d.lane_width_m = value; }, "width"))),
-    el("label", { class: "row" }, el("span", { text: "Height of the camera" }), metres("camera height", drawing.height_m, (value) => desk.store.edit((d) => { d.height_m = value; }, "height"))),
+    ...fields.row(desk, fields.laneWidth),
+    ...fields.row(desk, fields.cameraHeight),
     traffic.state === "done" && el("label", { class: "row" },
       el("input", { type: "checkbox", checked: drawing.use_traffic, onchange: () => desk.store.edit((d) => { d.use_traffic = !d.use_traffic; }) }),
-      el("span", { text: `the vehicles found in ${traffic.frames} pictures (needs lane lines)` })),
+      el("span", { text: `the vehicles found in ${many(traffic.frames, "picture")} (needs lane lines)` })),
   ];
 }
 
@@ -291,7 +302,7 @@ function vehicles(desk) {
       select.value = v.body;
       const few = Object.keys(v.points).length < 4;
       return item(desk, "vehicle", index, COLOURS.vehicle, String(index + 1), fit?.problem && !few ? "bad" : "",
-        el("span", { class: "controls" }, select, el("span", { class: "dim", text: `${Object.keys(v.points).length} points` })),
+        el("span", { class: "controls" }, select, el("span", { class: "dim", text: many(Object.keys(v.points).length, "point") })),
         fit?.problem ? el("span", { class: `wide ${few ? "dim" : "bad-text"}`, text: few ? "four points are the least" : fit.problem })
           : fit?.misfit_px ? el("span", { class: "wide dim", text: `its points miss their fit by ${fit.misfit_px.toFixed(2)} px` }) : null);
     })),

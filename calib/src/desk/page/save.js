@@ -1,8 +1,10 @@
 // Step 5: what is still wrong, and saving.
 
-import { el, metres } from "./elements.js";
+import { el, many } from "./elements.js";
+import { interval, row, wrongFields } from "./fields.js";
 import { isGood, paintLanes } from "./lanes.js";
 import { name } from "./pictures.js";
+import { isOff } from "./road.js";
 import * as server from "./server.js";
 
 /** @typedef {import("./main.js").Desk} Desk */
@@ -10,19 +12,49 @@ import * as server from "./server.js";
 
 /** @param {Desk} desk */
 async function run(desk) {
-  desk.kept.saving = true;
-  desk.kept.saveProblem = "";
-  desk.render();
-  try {
-    desk.kept.saved = await server.save(desk.store.drawing);
-    desk.store.changed = false;
-  } catch (error) {
-    desk.kept.saved = null;
-    desk.kept.saveProblem = /** @type {Error} */ (error).message;
+  const { kept, store } = desk;
+  // What is being measured anew is judged by the program alone.
+  const isKnown = !desk.isStale && !desk.isLooking;
+  const refused = [...wrongNumbers(desk), ...(isKnown ? cameraProblems(desk) : [])];
+  kept.saveProblem = refused.length ? `Not saved: ${refused.join("; ")}` : "";
+  if (!refused.length) {
+    const sent = JSON.stringify(store.drawing);
+    kept.saving = true;
+    desk.render();
+    try {
+      /** @type {import("./types.js").Saved} */
+      const saved = await server.save(store.drawing, desk.version);
+      kept.saved = saved;
+      desk.version = saved.version;
+      store.saved(sent);
+    } catch (error) {
+      kept.saved = null;
+      kept.saveProblem = /** @type {Error} */ (error).message;
+    }
+    kept.saving = false;
   }
-  desk.kept.saving = false;
   desk.render();
 }
+
+/** @param {Desk} desk */
+const wrongNumbers = (desk) =>
+  wrongFields(desk).map(({ field, text, why }) => `${field.name(desk.store.drawing)} is “${text}”: ${why}`);
+
+/** What forbids to save the camera, in the program's words. @param {Desk} desk @returns {string[]} */
+function cameraProblems(desk) {
+  const { look } = desk;
+  if (!look) return ["nothing is measured yet"];
+  const { camera } = look;
+  const said = [look.problem, camera && camera.trust !== "ok" ? camera.trust : "", ...(look.problems ?? [])];
+  look.lengths.forEach((fit, k) => {
+    if (fit?.is_contradicted && !said.some((text) => text?.includes(fit.doubt ?? ""))) said.push(`Length ${k + 1}: ${fit.doubt}`);
+  });
+  const problems = [...new Set(said.flatMap((text) => text || []))];
+  return camera || problems.length ? problems : ["nothing says where the camera stands"];
+}
+
+/** Lengths that are red in the list of the road, though the camera may be saved. @param {Desk} desk */
+const offLengths = (desk) => (desk.look?.lengths ?? []).flatMap((fit, k) => (isOff(fit) && !fit?.is_contradicted ? k + 1 : []));
 
 /** @type {Step} */
 export const step = {
@@ -34,11 +66,15 @@ export const step = {
   paint: (desk, c, placed) => paintLanes(desk, c, placed, false),
   panel(desk) {
     const { drawing } = desk.store;
-    const camera = desk.look?.camera;
+    const problems = cameraProblems(desk);
+    const off = offLengths(desk);
+    const n = drawing.lanes.length;
     const checks = [
       check(!desk.moved, "The camera stands where it was drawn", "Confirm that the points are right"),
-      check(camera?.trust === "ok", "The camera is known well enough", camera ? camera.trust : "Nothing says where the camera stands"),
-      check(isGood(desk), `${drawing.lanes.length} lanes can be measured`, drawing.lanes.length ? "A lane is red: go back to the lanes" : "No lane is drawn"),
+      ...(problems.length ? problems : [""]).map((problem) => check(!problem, "The camera is known well enough", problem)),
+      off.length > 0 && el("div", { class: "fair-text", text: `! Red on the road: length ${off.join(", ")}. Look at its ends and its metres.` }),
+      check(isGood(desk), `${many(n, "lane")} can be measured`, n ? "A lane is red: go back to the lanes" : "No lane is drawn"),
+      ...wrongNumbers(desk).map((problem) => check(false, "", problem)),
     ];
     const source = el("input", {
       type: "text", value: drawing.source, placeholder: "the folder of pictures", data: { key: "source" }, id: "source",
@@ -46,12 +82,12 @@ export const step = {
     });
     return [
       el("h2", { text: "Save the site" }),
-      el("div", { class: "card" }, ...checks),
+      el("div", { class: "card", id: "checks" }, ...checks),
       el("h3", { text: "The sensor" }),
       name(desk, "Site", "site"),
       name(desk, "Camera", "camera_id"),
       el("label", { class: "row", title: "Address of the camera on the box; it is not asked now" }, el("span", { text: "Camera's address" }), source),
-      el("label", { class: "row" }, el("span", { text: "Seconds between pictures" }), metres("interval", drawing.interval_s ?? desk.site.interval_s, (value) => desk.store.edit((d) => { d.interval_s = value; }, "interval"), "s")),
+      ...row(desk, interval, desk.site.interval_s),
       el("div", { class: "actions" }, el("button", { class: "primary", id: "save", disabled: desk.kept.saving, onclick: () => run(desk) }, desk.kept.saving ? "Saving …" : "Save")),
       desk.kept.saveProblem && el("div", { class: "card bad", id: "save-problem", text: desk.kept.saveProblem }),
       ...saved(desk),

@@ -2,6 +2,8 @@
 
 /** @typedef {import("./types.js").Drawing} Drawing */
 
+const GONE = "The desk's program has ended. Start `mvcalib desk` again and open its new address: what is drawn here is kept.";
+
 /**
  * @param {Response} response
  * @returns {Promise<any>}
@@ -14,31 +16,44 @@ async function content(response) {
 }
 
 /**
+ * @param {string} path @param {RequestInit} how
+ * @returns {Promise<any>}
+ */
+async function asked(path, how) {
+  /** @type {Response} */
+  let response;
+  try {
+    response = await fetch(path, how);
+  } catch {
+    throw new Error(GONE);
+  }
+  return content(response);
+}
+
+/**
  * @param {string} path
  * @returns {Promise<any>}
  */
-const get = async (path) => content(await fetch(path));
+const get = (path) => asked(path, {});
 
 /**
  * @param {string} path
  * @param {unknown} value
  * @returns {Promise<any>}
  */
-const post = async (path, value) =>
-  content(
-    await fetch(path, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify(value),
-    }),
-  );
+const post = (path, value) =>
+  asked(path, {
+    method: "POST",
+    headers: { "Content-Type": "application/json" },
+    body: JSON.stringify(value),
+  });
 
 /** @returns {Promise<import("./types.js").Site>} */
 export const site = () => get("api/site");
 /** @param {Drawing} drawing @returns {Promise<import("./types.js").Look>} */
 export const look = (drawing) => post("api/look", drawing);
-/** @param {Drawing} drawing @returns {Promise<import("./types.js").Saved>} */
-export const save = (drawing) => post("api/save", drawing);
+/** @param {Drawing} drawing @param {number} version the drawing that this page went on from @returns {Promise<import("./types.js").Saved>} */
+export const save = (drawing, version) => post(`api/save/${version}`, drawing);
 /** @param {Drawing} drawing @returns {Promise<import("./types.js").LineDashes[]>} */
 export const dashes = (drawing) => post("api/dashes", drawing);
 /** @param {Drawing} drawing @returns {Promise<import("./types.js").Counts>} */
@@ -71,8 +86,15 @@ export const pictureAddress = (name) => `api/picture/${encodeURIComponent(name)}
  * @param {string} address
  * @returns {Promise<HTMLImageElement>}
  */
-export function picture(address) {
+export async function picture(address) {
   const image = new Image();
   image.src = address;
-  return image.decode().then(() => image);
+  try {
+    await image.decode();
+  } catch {
+    // An image does not say why: a program that has ended is told from a picture that is broken.
+    await collection();
+    throw new Error("the picture cannot be shown");
+  }
+  return image;
 }

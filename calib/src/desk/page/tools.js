@@ -85,12 +85,14 @@ function pointsOf(d, h) {
   }
 }
 
+/** What is drawn, by kind. @param {Drawing} d */
+export const lists = (d) => ({
+  length: d.lengths, line: d.lines, rectangle: d.rectangles, vehicle: d.vehicles, lane: d.lanes, ignored: d.ignored,
+});
+
 /** @param {Drawing} d @param {{kind: Handle["kind"], index: number}} what */
 export function remove(d, what) {
-  const lists = {
-    length: d.lengths, line: d.lines, rectangle: d.rectangles, vehicle: d.vehicles, lane: d.lanes, ignored: d.ignored,
-  };
-  const [gone] = lists[what.kind].splice(what.index, 1);
+  const [gone] = lists(d)[what.kind].splice(what.index, 1);
   if (what.kind === "line" && gone && "id" in gone) {
     const { id } = gone;
     d.apart = d.apart.filter((pair) => !pair.includes(id));
@@ -107,6 +109,8 @@ export class Hand {
     /** The points of what is being drawn. @type {Px[]} */
     this.pending = [];
     this.isDragging = false;
+    /** Whether what is pending is one point that was there and was clicked: it may just be selected. */
+    this.isOffered = false;
   }
 
   /** @param {Px} at @returns {Handle | null} */
@@ -126,7 +130,8 @@ export class Hand {
   down(at, event) {
     const { desk } = this;
     const { tool } = desk;
-    const held = this.pending.length === 0 && !event.altKey ? this.near(at) : null;
+    const isFree = this.pending.length === 0 || this.isOffered;
+    const held = isFree && !event.altKey ? this.near(at) : null;
     // A tool of its own kind, or none, takes what is there; others may begin at the same place.
     if (held && (!tool || tool.takes === held.kind || tool.takes === "")) {
       this.held = held;
@@ -140,6 +145,7 @@ export class Hand {
     }
     const inside = at.every((x, k) => x >= -2 && x <= desk.site.image_size[k] + 2);
     if (!inside) return;
+    this.isOffered = false;
     tool.click(this.desk.snapped(at, event), this, event);
     desk.stage.paint();
   }
@@ -159,9 +165,19 @@ export class Hand {
   }
 
   up() {
+    const { desk, held } = this;
     this.held = null;
-    if (this.isDragging) this.desk.store.last = { key: "", at: 0 };
+    if (this.isDragging) desk.store.last = { key: "", at: 0 };
+    else if (held && desk.tool?.begins && desk.tool.takes === held.kind) {
+      this.pending = [[held.at[0], held.at[1]]];
+      this.isOffered = true;
+    }
     this.isDragging = false;
+  }
+
+  /** Takes back a beginning that was only offered. */
+  withdraw() {
+    if (this.isOffered) this.cancel();
   }
 
   finish() {
@@ -171,6 +187,7 @@ export class Hand {
 
   cancel() {
     this.pending = [];
+    this.isOffered = false;
     this.desk.stage.paint();
   }
 

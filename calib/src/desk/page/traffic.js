@@ -1,6 +1,6 @@
 // Step 4: the pictures as the sensor sees them: boxes, contact points, counts by lane.
 
-import { el } from "./elements.js";
+import { el, many } from "./elements.js";
 import { paintLanes } from "./lanes.js";
 import { laneColour, vehicleBox } from "./paint.js";
 import * as server from "./server.js";
@@ -15,12 +15,13 @@ const POLL_MS = 1000;
 
 /** @param {Desk} desk */
 async function poll(desk) {
+  clearTimeout(desk.kept.polling);
   try {
     desk.site.traffic = await server.traffic();
   } catch (error) {
     desk.kept.countProblem = /** @type {Error} */ (error).message;
   }
-  if (desk.site.traffic.state === "running") setTimeout(() => poll(desk), POLL_MS);
+  if (desk.site.traffic.state === "running") desk.kept.polling = setTimeout(() => poll(desk), POLL_MS);
   else if (desk.site.traffic.state === "done") count(desk);
   desk.render();
 }
@@ -30,14 +31,41 @@ async function count(desk) {
   const { drawing } = desk.store;
   desk.kept.countProblem = "";
   try {
-    const counts = await server.count(drawing);
+    const counts = inFolder(desk, await server.count(drawing));
     desk.kept.counts = counts;
-    if (desk.frame === null && desk.at === 3) desk.show(desk.site.frames.indexOf(counts.frames[0]?.frame ?? ""));
+    const [first] = counts.frames;
+    if (first && desk.frame === null && desk.at === 3) desk.show(desk.site.frames.indexOf(first.frame));
   } catch (error) {
     desk.kept.counts = null;
     desk.kept.countProblem = /** @type {Error} */ (error).message;
   }
   desk.render();
+}
+
+/** The counts of the pictures that the folder has: the search may have seen others. @param {Desk} desk @param {Counts} counts */
+function inFolder(desk, counts) {
+  const names = new Set(desk.site.frames);
+  const frames = counts.frames.filter((f) => names.has(f.frame));
+  desk.kept.leftOut = counts.frames.length - frames.length;
+  if (!desk.kept.leftOut) return counts;
+  const vehicles = (/** @type {number} */ lane) => frames.reduce((sum, f) => sum + f.boxes.filter((b) => b.lane === lane).length, 0);
+  const lanes = counts.lanes.map((lane) => ({ ...lane, vehicles: vehicles(lane.lane) / Math.max(1, frames.length) }));
+  return { frames, lanes };
+}
+
+/** Begins the search, or begins it anew. @param {Desk} desk */
+async function begin(desk) {
+  const { kept } = desk;
+  kept.countProblem = "";
+  if (kept.playing) play(desk);
+  try {
+    desk.site.traffic = await server.search();
+    kept.counts = null;
+    await poll(desk);
+  } catch (error) {
+    kept.countProblem = /** @type {Error} */ (error).message;
+    desk.render();
+  }
 }
 
 /** @param {Desk} desk */
@@ -89,22 +117,18 @@ export const step = {
 /** @param {Desk} desk */
 function search(desk) {
   const { traffic } = desk.site;
-  const begin = async () => {
-    try {
-      desk.site.traffic = await server.search();
-    } catch (error) {
-      desk.kept.countProblem = /** @type {Error} */ (error).message;
-    }
-    poll(desk);
-  };
+  const problem = desk.kept.countProblem || traffic.problem;
   if (!traffic.detector)
     return [el("div", { class: "card", id: "no-detector" }, "There is no detector here. Start the desk where the program ", el("code", { text: "verge" }), " and a model are (", el("code", { text: "--verge" }), ", ", el("code", { text: "--model" }), "), or go on: it is not needed to save the site.")];
   if (traffic.state === "running")
-    return [el("div", { class: "card" }, `Searching pictures for vehicles: ${traffic.searched} of ${desk.site.frames.length} … ${traffic.running_s.toFixed(0)} s`)];
+    return [
+      el("div", { class: "card" }, `Searching pictures for vehicles: ${traffic.searched} of ${desk.site.frames.length} … ${traffic.running_s.toFixed(0)} s`),
+      desk.kept.countProblem && el("div", { class: "card bad", text: desk.kept.countProblem }),
+    ];
   return [
-    traffic.problem && el("div", { class: "card bad", text: traffic.problem }),
+    problem && el("div", { class: "card bad", text: problem }),
     el("p", { class: "dim", text: "Find the vehicles of the pictures, and see which lane each is counted in." }),
-    el("button", { class: "primary", id: "search", onclick: begin }, `Find vehicles in ${desk.site.frames.length} pictures`),
+    el("button", { class: "primary", id: "search", onclick: () => begin(desk) }, `Find vehicles in ${many(desk.site.frames.length, "picture")}`),
   ];
 }
 
@@ -112,7 +136,14 @@ function search(desk) {
 function counted(desk) {
   /** @type {Counts | null} */
   const counts = desk.kept.counts ?? null;
-  if (!counts) return [el("div", { class: `card ${desk.kept.countProblem ? "bad" : ""}`, id: "count-problem", text: desk.kept.countProblem || "Counting …" })];
+  const { traffic } = desk.site;
+  const { countProblem, leftOut } = desk.kept;
+  const again = traffic.detector
+    && el("button", { id: "again", title: "Searches all pictures of the folder anew", onclick: () => begin(desk) }, "Find again");
+  // Boxes there are: what the program says besides is of pictures that it left out.
+  const said = countProblem || traffic.problem;
+  const problem = said && el("div", { class: `card ${countProblem ? "bad" : "fair"}`, id: "count-problem", text: said });
+  if (!counts) return [problem || el("div", { class: "card", text: "Counting …" }), el("div", { class: "actions" }, again)];
   const now = shown(desk);
   const rows = counts.lanes.map((lane) => {
     const swatch = el("span", { text: `● ` });
@@ -127,10 +158,13 @@ function counted(desk) {
     el("div", { class: "actions" },
       el("button", { id: "play", onclick: () => play(desk) }, desk.kept.playing ? "Stop" : "Play"),
       el("button", { onclick: () => desk.show((desk.frame ?? 0) - 1) }, "‹"),
-      el("button", { onclick: () => desk.show((desk.frame ?? -1) + 1) }, "›")),
+      el("button", { onclick: () => desk.show((desk.frame ?? -1) + 1) }, "›"),
+      again),
+    problem,
+    leftOut > 0 && el("div", { class: "card fair", id: "frames-left-out", text: `${many(leftOut, "picture")} of the search ${leftOut === 1 ? "is" : "are"} not in this folder and left out.` }),
     el("table", { id: "counts" },
       el("tr", {}, el("th", { text: "" }), el("th", { text: "now" }), el("th", { text: "mean" }), el("th", { text: "veh/km" })),
       ...rows),
-    el("p", { class: "dim", text: `${counts.frames.length} pictures. Dashed boxes are not counted: they stand beside the lanes, are cut off, or are unsure.` }),
+    el("p", { class: "dim", text: `${many(counts.frames.length, "picture")}. Dashed boxes are not counted: they stand beside the lanes, are cut off, or are unsure.` }),
   ];
 }

@@ -70,6 +70,7 @@
  * @typedef {Object} Look
  * @property {CameraLook | null} camera
  * @property {string | null} problem
+ * @property {string[]} [problems] what forbids to save, beside `camera.trust`
  * @property {(LengthLook | null)[]} lengths
  * @property {RectangleLook[]} rectangles
  * @property {StripLook[]} strips
@@ -131,7 +132,8 @@
  * @property {[number, number]} image_size
  * @property {string} backdrop
  * @property {Drawing} drawing
- * @property {boolean} saved
+ * @property {boolean} saved whether exactly this drawing is saved
+ * @property {number} version
  * @property {Shift | null} moved
  * @property {string | null} problem
  * @property {{name: string, what: string, pitch_m: number}[]} standards
@@ -143,7 +145,7 @@
  */
 /** @typedef {{corners: [number, number, number, number], score: number, class: string, lane: number | null, s_m: number | null}} Counted */
 /** @typedef {{frames: {frame: string, boxes: Counted[]}[], lanes: {lane: number, length_m: number, vehicles: number}[]}} Counts */
-/** @typedef {{folder: string, files: [string, string][]}} Saved */
+/** @typedef {{folder: string, files: [string, string][], version: number}} Saved */
 
 /**
  * A thing that can be taken with the mouse.

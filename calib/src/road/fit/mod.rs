@@ -44,6 +44,7 @@ mod solve;
 mod tests;
 mod traffic;
 mod view;
+mod width;
 
 pub use cues::{
     BoxCue, Class, Cues, Labelled, LaneCue, MEASURED_REL_SD, MarkCue, READING_PX, RectangleCue,
@@ -102,6 +103,16 @@ pub struct Fit {
 /// # Errors
 /// Says what is missing, or which cue cannot lie on any road.
 pub fn fit(cues: &Cues, image_size: [u32; 2]) -> Result<Fit> {
+    let (mut found, _) = fit_of(cues, image_size)?;
+    // It bends the camera, so that whatever else is refused may follow from it.
+    if let Some(reason) = width::contradicted(cues, image_size) {
+        found.trust = Trust::Refused(reason);
+    }
+    Ok(found)
+}
+
+/// The fit with its view, where lanes are not compared with the other cues.
+fn fit_of(cues: &Cues, image_size: [u32; 2]) -> Result<(Fit, View)> {
     check::usable(cues, image_size)?;
     let open = || Error::Solver {
         method: METHOD,
@@ -131,7 +142,7 @@ pub fn fit(cues: &Cues, image_size: [u32; 2]) -> Result<Fit> {
     if doubts.is_empty() {
         doubts = doubt::unchecked(cues, image_size, optimum.cost);
     }
-    Ok(Fit {
+    let found = Fit {
         doubts,
         marks,
         lanes: residuals::lanes(cues, &view),
@@ -142,7 +153,8 @@ pub fn fit(cues: &Cues, image_size: [u32; 2]) -> Result<Fit> {
         trust,
         known,
         errors,
-    })
+    };
+    Ok((found, view))
 }
 
 impl Fit {

@@ -7,6 +7,7 @@ use super::problem::{Problem, Theta, camera_of, shared_of};
 use super::traffic::{OUTLINE, SHARED, SHARED_SD, Shared, log_size};
 use super::view::{CAMERA, Unknowns, View};
 use super::{BoxCue, Cues, LaneCue, MarkCue, advice, fit};
+use crate::trust::{Reason, Trust};
 use nalgebra::{Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -184,4 +185,32 @@ fn where_the_width_of_the_lanes_is_asked_for_it_helps_across() {
         assert!(advice.contains("length"), "camera {seed}: {advice}");
     }
     assert!(asked > 0);
+}
+
+#[test]
+fn two_lanes_drawn_as_one_do_not_bend_the_camera() {
+    let (camera, mut cues) = drawn(3, 0);
+    let view = View::new(&camera, SIZE);
+    let mark = |name: &str, [a, b]: [[f64; 2]; 2]| {
+        let ends = [a, b].map(|[x, y]| view.project(Vector3::new(x, y, 0.0)));
+        let metres = (Vector2::from(b) - Vector2::from(a)).norm();
+        MarkCue::measured(name, ends.to_vec(), metres)
+    };
+    cues.marks = vec![
+        mark("near", [[0.0, 20.0], [0.0, 32.0]]),
+        mark("far", [[0.0, 40.0], [0.0, 58.0]]),
+        mark("across", [[-3.0, 22.0], [4.5, 22.0]]),
+    ];
+    let right = fit(&cues, SIZE).expect("a camera");
+    assert_eq!(right.trust, Trust::Ok);
+    let left = cues.lanes[1].left.clone();
+    cues.lanes = vec![LaneCue { left, ..cues.lanes[0].clone() }];
+    let found = fit(&cues, SIZE).expect("a camera");
+    let Trust::Refused(Reason::LaneWidth { width_m, .. }) = found.trust else {
+        panic!("{}", found.trust)
+    };
+    assert!((width_m / 7.9 - 1.0).abs() < 0.1, "{width_m}");
+    // Lanes as wide as that may be stated.
+    cues.lane_width_m = Some(7.9);
+    assert_eq!(fit(&cues, SIZE).expect("a camera").trust, Trust::Ok);
 }

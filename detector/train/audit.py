@@ -3,13 +3,14 @@
 Owns the choice of frames, the sheets to look at and the rows that come out; the rule lies in
 `detector/data/audit/README.md`, the count in `count_audit.py`.
 
-    python3 audit.py choose --data DIR --camera 1004 --frames 18 --work DIR
+    python3 audit.py choose --data DIR --camera 1004 --frames 18 --list FILE --work DIR
     python3 audit.py sheets --data DIR --camera 1004 --work DIR
     python3 audit.py settle --camera 1004 --work DIR --decisions FILE
 
 A frame is a path below the data folder; a frame of a video is `PATH#NUMBER`. `choose` cuts the
 frames (in order of their names, which hold the time) into equal bins and draws as many from the
-lighter as from the heavier half of each, so that light and load are spread. `sheets` draws the
+lighter as from the heavier half of each, so that light and load are spread; where a camera has
+audited frames it draws among the others, and all of these are `check`. `sheets` draws the
 numbered candidates: labels of the data set and what the shipped model finds at a low score at two
 input sizes. `settle` reads what the eye decided, one line a frame:
 
@@ -44,6 +45,12 @@ VEHICLE = ("v", "h")
 # Singapore, 20 March 2021: civil dawn 06:48, sunrise 07:10, sunset 19:14, civil dusk 19:35.
 # Street light rules outside of these, as `data.py` has it for the evening.
 SG_LIGHT = [("06:48", "night"), ("07:12", "dusk"), ("19:00", "day"), ("19:20", "dusk")]
+
+
+def audited(camera):
+    """Rows of a camera that are settled."""
+    path = os.path.join(AUDIT, f"{camera}.jsonl")
+    return rows_of(path) if os.path.exists(path) else []
 
 
 def regions():
@@ -115,13 +122,15 @@ def choose(args):
     for frame in frames:
         rows = net.detect(read(args.data, frame), SHIPPED, 0.5)
         load[frame] = sum(inside(shown["polygons"], r) for r in rows)
-    draw = random.Random(f"{SEED} {args.camera}")
+    before = audited(args.camera)
+    frames = [frame for frame in frames if frame not in {row["frame"] for row in before}]
+    draw = random.Random(f"{SEED} {args.camera}" + " again" * bool(before))
     chosen = []
     for part in np.array_split(np.array(frames), max(1, args.frames // 2)):
         part = sorted(part, key=lambda f: (load[f], f))
         half = (len(part) + 1) // 2
         chosen += [str(draw.choice(p)) for p in (part[:half], part[half:]) if len(p)]
-    audit = set(draw.sample(chosen, min(AUDIT_FRAMES, len(chosen) // 2 + 1)))
+    audit = set() if before else set(draw.sample(chosen, min(AUDIT_FRAMES, len(chosen) // 2 + 1)))
     with open(os.path.join(args.work, f"{args.camera}.chosen.jsonl"), "w") as file:
         for frame in sorted(chosen):
             row = {"frame": frame, "camera": args.camera, "region": args.region or args.camera,
@@ -225,8 +234,10 @@ def settle(args):
         out.append({k: row[k] for k in ("frame", "camera", "light", "role", "region")}
                    | {"vehicles": vehicles, "rejected": rejected,
                       "passes": passes.get(first, 1)})
+    settled = {row["frame"] for row in out}
+    whole = [row for row in audited(args.camera) if row["frame"] not in settled] + out
     with open(os.path.join(AUDIT, f"{args.camera}.jsonl"), "w") as file:
-        file.writelines(json.dumps(row) + "\n" for row in out)
+        file.writelines(json.dumps(row) + "\n" for row in sorted(whole, key=lambda r: r["frame"]))
     print(args.camera, len(out), "frames,", sum(len(r["vehicles"]) for r in out), "vehicles")
 
 

@@ -24,6 +24,7 @@ Z90 = 1.645
 STUDENT = [3.84, 1.78, 1.43, 1.30, 1.23, 1.18, 1.15, 1.13, 1.11, 1.10, 1.09, 1.08]
 DOUBT, LOADS, OF_A_LOAD = 0.1, 3, 3
 FEWEST = 3  # frames of a window
+FRAMES = 10  # of an audit, as `verge audit` asks for
 
 
 def windows(rows, role=None):
@@ -135,7 +136,7 @@ def main():
                            np.hypot(part * counted, vehicles),
                            sampling([r["counts"][args.least] for r in group])))
     print(f"without an audit: {summary(tested)}")
-    tested, biases = [], {}
+    tested, biases, audited = [], {}, {}
     for (camera, light), group in windows(rows, "check").items():
         counted_by_eye = [r for r in rows if r["camera"] == camera and r["role"] == "audit"]
         if len(counted_by_eye) < FEWEST:
@@ -150,8 +151,12 @@ def main():
                            times * sampling([r["counts"][score] for r in group])))
         sums = biases.setdefault(camera, np.zeros(2))
         sums += len(group) * np.array([true, times * counted])
-    off = [abs(found / true - 1) for true, found in biases.values()]
-    print(f"after an audit: {summary(tested)}; mean |camera bias| {100 * np.mean(off):.1f} %")
+        audited[camera] = len(counted_by_eye)
+    off = {camera: abs(found / true - 1) for camera, (true, found) in biases.items()}
+    full = [off[camera] for camera in off if audited[camera] >= FRAMES]
+    print(f"after an audit: {summary(tested)}")
+    print(f"mean |camera bias| {100 * np.mean(full):.1f} % over {len(full)} cameras with {FRAMES} audited "
+          f"frames, {100 * np.mean([*off.values()]):.1f} % over all {len(off)}")
 
 
 if __name__ == "__main__":

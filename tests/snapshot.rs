@@ -115,7 +115,9 @@ fn faults_are_named() {
         (answer("401 Unauthorized", "", b""), "does not say which"),
         (answer("401 X", "WWW-Authenticate: Negotiate\r\n", b""), "Negotiate"),
         (answer("403 Forbidden", "", b""), "camera.password_file"),
-        (answer("404 Not Found", "", b""), "camera.source"),
+        (answer("404 Not Found", "", b""), "check the path in the address"),
+        // Of a picture that it never gave.
+        (answer("304 Not Modified", "", b""), "HTTP status 304"),
         (answer("500 Oops", "", b"sorry"), "500"),
         (answer("200 OK", "", b"<html>please log in</html>"), "an HTML page"),
         (answer("200 OK", "", b"{\"error\":-6}"), "JSON in place of a picture ({\"error\":-6})"),

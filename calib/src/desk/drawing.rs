@@ -188,6 +188,11 @@ impl Drawing {
         Ok(drawing)
     }
 
+    /// Whether it has no shape.
+    pub fn is_bare(&self) -> bool {
+        self.shapes().next().is_none()
+    }
+
     /// The points of every shape.
     fn shapes(&self) -> impl Iterator<Item = Vec<Px>> + '_ {
         let lengths = self.lengths.iter().map(|s| s.points.clone());

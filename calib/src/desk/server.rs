@@ -44,7 +44,8 @@ const DRAFT: &str = "draft.json";
 #[derive(Default)]
 struct Latest {
     drawing: Option<Drawing>,
-    is_saved: bool,
+    /// What this program has saved.
+    saved: Option<Drawing>,
     /// How often this site was saved since the program began.
     version: u64,
 }
@@ -143,6 +144,10 @@ impl Desk {
                     parsed::<Pace>(body).and_then(|pace| self.collection.start(&self.site, pace));
                 return answer(begun.map(|()| self.collection.state(&self.site)));
             }
+            "api/draft/drop" => {
+                self.drop_draft();
+                return json_of(&json!({}));
+            }
             "api/collect/stop" => {
                 self.collection.stop();
                 return json_of(&self.collection.state(&self.site));
@@ -199,7 +204,7 @@ impl Desk {
         let saved = save(&drawing, &self.site, &prepared.backdrop, &self.traffic, model)?;
         let _ = std::fs::remove_file(self.site.file(DRAFT));
         let version = latest.version + 1;
-        *latest = Latest { drawing: Some(drawing), is_saved: true, version };
+        *latest = Latest { drawing: Some(drawing.clone()), saved: Some(drawing), version };
         Ok(json!({ "folder": saved.folder, "files": saved.files, "version": version }))
     }
 
@@ -216,7 +221,14 @@ impl Desk {
             let _ = verge_desk::make_parent(&draft)
                 .and_then(|()| verge_desk::write_whole(&draft, &json));
         }
-        (latest.drawing, latest.is_saved) = (Some(drawing), false);
+        latest.drawing = Some(drawing);
+    }
+
+    /// Goes back to what was saved.
+    fn drop_draft(&self) {
+        let mut latest = self.latest();
+        latest.drawing = latest.saved.clone();
+        let _ = std::fs::remove_file(self.site.file(DRAFT));
     }
 
     /// Takes up what was drawn on these pictures and not saved before the program ended.
@@ -259,10 +271,12 @@ impl Desk {
         self.take_up(backdrop);
         let latest = self.latest();
         // One on other pictures is not on these.
-        let drawn = latest.drawing.as_ref().filter(|d| d.backdrop == backdrop.sha256);
-        let saved = if drawn.is_some() { latest.is_saved } else { opened.is_some() };
+        let here = |d: &&Drawing| d.backdrop == backdrop.sha256;
+        let drawn = latest.drawing.as_ref().filter(here);
+        let saved = latest.saved.as_ref().filter(here).or(opened.map(|o| &o.drawing));
+        let is_draft = drawn.is_some_and(|d| saved.map_or(!d.is_bare(), |s| s != d));
         let moved = opened.filter(|_| drawn.is_none()).and_then(|o| o.moved.as_ref());
-        let drawing = drawn.or(opened.map(|o| &o.drawing)).cloned().unwrap_or_else(empty);
+        let drawing = drawn.or(saved).cloned().unwrap_or_else(empty);
         let frames: Vec<String> = self.site.pictures()?.iter().map(|p| name_of(p)).collect();
         let standards: Vec<Value> = standards::all()
             .iter()
@@ -276,7 +290,8 @@ impl Desk {
             "image_size": backdrop.image_size,
             "backdrop": backdrop.sha256,
             "drawing": drawing,
-            "saved": saved,
+            "saved": saved.is_some() && !is_draft,
+            "draft": is_draft,
             "version": latest.version,
             "moved": moved.map(shift_json),
             "problem": problem,

@@ -569,6 +569,11 @@ def main():
         boxes = folder / "boxes.jsonl"
         true_boxes(boxes)
         desk = open_desk(STREET, "--detections", boxes)
+        # What was tried since is there, until it is dropped.
+        desk.page.wait_for_selector("#draft")
+        shot("08-draft")
+        desk.click("#drop-draft")
+        desk.page.wait_for_selector("#draft", state="detached")
         desk.page.wait_for_selector("#camera-card.good")
         assert desk.page.locator("#moved").count() == 0
         the_traffic_is_counted(desk, shot)

@@ -276,7 +276,7 @@ export class Desk {
     this.stage.loupe = this.magnifier && this.tools.length > 0;
     this.renderHint();
     this.renderBackdrops();
-    fill(byId("panel"), this.movedCard(), this.siteProblem(), ...this.step.panel(this));
+    fill(byId("panel"), this.draftCard(), this.movedCard(), this.siteProblem(), ...this.step.panel(this));
     fill(
       byId("legend"),
       ...(look?.dots.length && this.step === road.step
@@ -323,6 +323,19 @@ export class Desk {
   siteProblem() {
     const { problem } = this.site;
     return problem && el("div", { class: "card bad" }, el("b", { text: "This site cannot be saved. " }), problem);
+  }
+
+  /** The page began with what was drawn before and not saved. */
+  draftCard() {
+    const { site } = this;
+    if (!site.draft) return null;
+    const keep = () => { site.draft = false; this.render(); };
+    const drop = () => server.dropDraft().then(() => { this.store.changed = false; location.reload(); });
+    return el("div", { class: "card fair", id: "draft" },
+      "This goes on with what was drawn and not saved. ",
+      el("div", { class: "actions" },
+        el("button", { class: "primary", id: "keep-draft", onclick: keep }, "Go on with it"),
+        el("button", { id: "drop-draft", onclick: drop }, "Drop it")));
   }
 
   /** The camera moved since the site was saved: a look and a click. */

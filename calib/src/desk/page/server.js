@@ -62,6 +62,8 @@ export const count = (drawing) => post("api/count", drawing);
 export const traffic = () => get("api/traffic");
 /** @returns {Promise<import("./types.js").TrafficState>} */
 export const search = () => post("api/traffic", {});
+/** @returns {Promise<unknown>} */
+export const dropDraft = () => post("api/draft/drop", {});
 /** @returns {Promise<import("./types.js").AuditState>} */
 export const audit = () => get("api/audit");
 /** @returns {Promise<import("./types.js").AuditState>} */

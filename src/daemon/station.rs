@@ -11,6 +11,9 @@ use crate::refresh::Refresh;
 use crate::sensor::Outcome;
 use std::time::{Duration, Instant};
 
+/// Answers in a row that make a camera slow.
+const ANSWERS: usize = 3;
+
 /// Advice for a camera that has a picture to measure less often than it is asked.
 pub fn advice(period: Duration, interval: Duration) -> String {
     let whole = period.as_secs_f64().round().max(1.0);
@@ -19,6 +22,11 @@ pub fn advice(period: Duration, interval: Duration) -> String {
          few of them: set camera.interval_s = {whole:.0}, or make the camera faster",
         interval.as_secs_f64()
     )
+}
+
+/// Whether pictures that take so long leave windows too few of them.
+fn is_slower(period: Duration, interval: Duration) -> bool {
+    period.saturating_mul(2) > interval.saturating_mul(3)
 }
 
 /// How often a camera has a new picture.
@@ -40,6 +48,8 @@ pub struct Station {
     camera: Option<SourceSettings>,
     frame: Frame,
     line: Line,
+    /// How long the camera took for its latest answers.
+    answers: [Duration; ANSWERS],
 }
 
 impl Station {
@@ -49,12 +59,13 @@ impl Station {
     /// Where the camera cannot be set up.
     pub fn open(camera: SourceSettings, line: Line) -> Result<Self, Failure> {
         let source = Source::open(camera.clone())?;
-        Ok(Self { source, camera: Some(camera), frame: Frame::default(), line })
+        let (frame, answers) = (Frame::default(), [Duration::ZERO; ANSWERS]);
+        Ok(Self { source, camera: Some(camera), frame, line, answers })
     }
 
     /// A source that has given a frame already, or none yet, in front of a line.
     pub fn with(source: Source, frame: Frame, line: Line) -> Self {
-        Self { source, camera: None, frame, line }
+        Self { source, camera: None, frame, line, answers: [Duration::ZERO; ANSWERS] }
     }
 
     /// Takes a picture; false when it has the bytes of the one before.
@@ -62,7 +73,27 @@ impl Station {
     /// # Errors
     /// [`Failure::Capture`]: there is none.
     pub fn capture(&mut self) -> Result<bool, Failure> {
-        Ok(self.source.next(&mut self.frame)? == Captured::New)
+        let begun = Instant::now();
+        let captured = self.source.next(&mut self.frame);
+        self.answers.rotate_left(1);
+        // A camera that gives none is another fault.
+        self.answers[ANSWERS - 1] = captured.as_ref().map_or(Duration::ZERO, |_| begun.elapsed());
+        Ok(captured? == Captured::New)
+    }
+
+    /// Advice where a snapshot takes so long that windows would have too few of them.
+    pub fn slow_answers(&self) -> Option<String> {
+        let interval = self.source.interval();
+        let least = self.answers.into_iter().min()?;
+        let is_slow = matches!(self.source, Source::Snapshot(_)) && is_slower(least, interval);
+        is_slow.then(|| advice(least, interval))
+    }
+
+    /// The same of the latest one alone.
+    pub fn slow_answer(&self) -> Option<String> {
+        let (last, interval) = (self.answers[ANSWERS - 1], self.source.interval());
+        let is_slow = matches!(self.source, Source::Snapshot(_)) && is_slower(last, interval);
+        is_slow.then(|| advice(last, interval))
     }
 
     /// Takes a picture and looks where the camera looks, without measuring. `None`: the picture before

@@ -213,7 +213,7 @@ impl Running {
             }
         };
         let slow = sensor.camera_period().map(|period| advice(period, sensor.interval()));
-        hands.note_slow(slow.or_else(|| station.slow_keys()));
+        hands.note_slow(slow.or_else(|| station.slow_keys()).or_else(|| station.slow_answers()));
         turned
     }
 

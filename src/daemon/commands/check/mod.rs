@@ -150,6 +150,9 @@ fn measure(station: &mut Station, interval: Duration) -> Result<String, Failure>
     let (mut found, mut located) = station.line().latest();
     std::thread::sleep(APART);
     let is_new = station.capture()?;
+    if let Some(advice) = station.slow_answer() {
+        return Err(Failure::Pace(advice));
+    }
     let mut second = if is_new { measured(station)? } else { Some(Event::Unchanged) };
     // By chance the one new picture in half a minute may have come just then.
     if is_new && station.may_stand_still() && interval <= LONGEST_WATCHED {

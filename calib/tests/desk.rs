@@ -78,7 +78,7 @@ impl Desk {
     }
 
     fn look(&self, drawing: &Value) -> Value {
-        let (status, look) = self.post("api/look", drawing);
+        let (status, look) = self.post("api/look/0", drawing);
         assert_eq!(status, 200, "{look}");
         look
     }

@@ -156,6 +156,7 @@ impl Station {
         if !self.asks(&camera) {
             self.source = Source::open(camera.clone())?;
             self.camera = Some(camera);
+            self.answers = [Duration::ZERO; ANSWERS];
         }
         self.line = line;
         Ok(())

@@ -91,6 +91,11 @@ pub fn calibration(drawing: &Drawing, boxes: &[BoxCue]) -> Result<Calibration> {
     let mut answer = Look::default();
     let found = measure(drawing, boxes, &mut answer)?.ok_or_else(nothing)?;
     let mut calibration = found.calibration();
+    let contradicted = found.doubts.iter().find_map(|d| Some((d, d.others.as_ref()?)));
+    if let (Trust::Ok, Some((doubt, others))) = (&calibration.trust, contradicted) {
+        let (name, known_m, measured_m) = (doubt.name.clone(), doubt.known_m, others.metres);
+        calibration.trust = Trust::Refused(Reason::Contradiction { name, known_m, measured_m });
+    }
     calibration.vehicles = answer
         .vehicles
         .iter()

@@ -107,13 +107,15 @@ pub fn save(
             site.file(name).display()
         )));
     }
+    let was_saved = site.file(SITE).exists();
     let mut batch = Batch::default();
     for (name, bytes, _) in &files {
         batch.add(&site.file(name), bytes)?;
     }
     batch.commit()?;
     // Those of an earlier drawing would go on to speak for this one.
-    for name in OPTIONAL.into_iter().filter(|name| files.iter().all(|(kept, ..)| kept != name)) {
+    let left = |name: &&str| was_saved && files.iter().all(|(kept, ..)| kept != name);
+    for name in OPTIONAL.into_iter().filter(left) {
         match std::fs::remove_file(site.file(name)) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
                 return Err(verge_desk::Failure::Write { path: site.file(name), source }.into());

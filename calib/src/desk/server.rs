@@ -165,12 +165,12 @@ impl Desk {
         if let Some(version) = path.strip_prefix("api/save/") {
             return answer(self.save(drawing, version));
         }
+        if let Some(version) = path.strip_prefix("api/look/") {
+            // Before the fit, which takes a while: a later drawing must not be overtaken.
+            self.keep(&drawing, version);
+            return json_of(&look(&drawing, &self.traffic.cue()));
+        }
         match path {
-            "api/look" => {
-                let answer = json_of(&look(&drawing, &self.traffic.cue()));
-                self.keep(drawing);
-                answer
-            }
             "api/dashes" => answer(self.dashes(&drawing)),
             "api/count" => answer(
                 self.prepared()
@@ -208,26 +208,31 @@ impl Desk {
         Ok(json!({ "folder": saved.folder, "files": saved.files, "version": version }))
     }
 
-    fn keep(&self, drawing: Drawing) {
+    /// Keeps what goes on from the latest save; a window that another has overtaken keeps its own.
+    fn keep(&self, drawing: &Drawing, version: &str) {
+        let may_be_written = self.prepared().is_ok_and(|p| p.opened.is_ok());
         let mut latest = self.latest();
-        if latest.drawing.as_ref() == Some(&drawing) {
+        let is_old = version != latest.version.to_string();
+        if is_old || !may_be_written || latest.drawing.as_ref() == Some(drawing) {
             return;
         }
         // The first one is what the page was loaded with.
         if latest.drawing.is_some() {
             let draft = self.site.file(DRAFT);
-            let json = serde_json::to_vec(&drawing).expect("a drawing of finite numbers is JSON");
+            let json = serde_json::to_vec(drawing).expect("a drawing of finite numbers is JSON");
             // Where it cannot be written saving says so.
             let _ = verge_desk::make_parent(&draft)
                 .and_then(|()| verge_desk::write_whole(&draft, &json));
         }
-        latest.drawing = Some(drawing);
+        latest.drawing = Some(drawing.clone());
     }
 
     /// Goes back to what was saved.
     fn drop_draft(&self) {
         let mut latest = self.latest();
         latest.drawing = latest.saved.clone();
+        // What the page still sends is of the drawing that was dropped.
+        latest.version += 1;
         let _ = std::fs::remove_file(self.site.file(DRAFT));
     }
 

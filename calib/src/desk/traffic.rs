@@ -54,6 +54,8 @@ impl FrameBoxes {
 pub struct Traffic {
     detector: Option<Detector>,
     task: Task<Searched>,
+    /// The boxes of the search before: they hold until the next has found others.
+    last: Mutex<Option<Arc<Searched>>>,
     /// Of the boxes that were at hand at the start.
     note: Mutex<Note>,
 }
@@ -94,7 +96,8 @@ impl Traffic {
             true => Progress::Idle,
             false => Progress::Done(Arc::new(searched)),
         };
-        Ok(Traffic { detector, task: Task::new(progress), note: Mutex::new(note) })
+        let (task, last) = (Task::new(progress), Mutex::default());
+        Ok(Traffic { detector, task, last, note: Mutex::new(note) })
     }
 
     fn note(&self) -> MutexGuard<'_, Note> {
@@ -105,7 +108,7 @@ impl Traffic {
     fn found(&self) -> Option<Arc<Searched>> {
         match self.task.now() {
             Progress::Done(searched) => Some(searched),
-            _ => None,
+            _ => self.last.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         }
     }
 
@@ -166,8 +169,9 @@ impl Traffic {
         let mut command = Command::new(&detector.program);
         command.args(["detect", "--names", "--frames"]).arg(&site.frames);
         command.arg("--detections").arg(&out).arg("--model").arg(&detector.model);
-        let (pictures, of) = (pictures_of(site), site.clone());
+        let (pictures, of, found) = (pictures_of(site), site.clone(), self.found());
         self.task.start(command, "", move |_| Searched::bound(&of, pictures))?;
+        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = found;
         *self.note() = Note::default();
         Ok(())
     }

@@ -82,7 +82,7 @@ impl Snapshot {
         if head.status == 304 {
             // Of a picture that it never gave, or that was asked for without a condition, it is none.
             let status = Fault::Status { protocol: "HTTP", status: 304 };
-            return if last.is_some() { Ok(None) } else { Err(at(status)) };
+            return if headers.is_empty() { Err(at(status)) } else { Ok(None) };
         }
         let content_type = head.content_type();
         if content_type.starts_with("multipart/") || MOTION_JPEG.contains(&content_type.as_str()) {

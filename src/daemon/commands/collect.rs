@@ -66,6 +66,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     while begun.elapsed() <= args.length {
         match source.next(&mut frame) {
             Ok(Captured::New) => {
+                said.clear();
                 let name = save(&frame, &args.frames)?;
                 collected += 1;
                 // Whoever began the collection and went away needs no more pictures.

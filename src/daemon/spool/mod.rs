@@ -251,6 +251,9 @@ impl Spool {
     /// Writes down which windows the broker has taken, so that a later run does not send
     /// them again. It is done with every accepted window, too.
     pub fn note_acknowledged(&mut self) {
+        if self.notice_removal() {
+            self.save();
+        }
         while self.writable && !self.taken.is_empty() {
             let mut bytes = Vec::new();
             self.write_taken(&mut bytes);

@@ -19,9 +19,6 @@ use std::path::{Path, PathBuf};
 /// fill many.
 pub(super) const SEGMENT: usize = if cfg!(test) { 16 } else { 256 } * 1024;
 
-/// Reason of an append to a file that has no name any more.
-const REMOVED: &str = "its folder was removed, or the file in it";
-
 /// One file of the spool.
 #[derive(Debug)]
 pub(super) struct Segment {
@@ -117,16 +114,17 @@ impl Segment {
         self.end + len <= SEGMENT
     }
 
+    /// Whether somebody has removed the file: what is appended is gone when the program ends.
+    pub(super) fn is_removed(&self) -> bool {
+        match &self.file {
+            Some(file) => file.metadata().is_ok_and(|there| there.nlink() == 0),
+            None => !self.path.exists(),
+        }
+    }
+
     /// Appends bytes of records and returns where they begin; they are on the disk then.
-    ///
-    /// # Errors
-    /// The system's, and [`io::ErrorKind::NotFound`] for a file that somebody has removed: what is
-    /// written there is gone when the program ends.
     pub(super) fn append(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let file = self.file.as_ref().ok_or(io::ErrorKind::NotFound)?;
-        if file.metadata()?.nlink() == 0 {
-            return Err(io::Error::new(io::ErrorKind::NotFound, REMOVED));
-        }
         file.write_all_at(bytes, self.end as u64)?;
         file.sync_data()?;
         let start = self.end;

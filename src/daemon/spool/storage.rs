@@ -15,6 +15,7 @@ impl Spool {
         if self.folder.is_none() {
             return;
         }
+        self.notice_removal();
         while let unsaved @ 1.. = self.in_memory_count() {
             if let Err(error) = self.save_entry(self.entries.len() - unsaved) {
                 self.refuse(&error);
@@ -32,11 +33,7 @@ impl Spool {
         record.write(&mut bytes).ok_or(io::ErrorKind::InvalidData)?;
         self.make_room(key, bytes.len() + MAX_KEYS * 8 + 9)?;
         self.write_taken(&mut bytes);
-        let (segment, offset) = self.append(&bytes).inspect_err(|error| {
-            if error.kind() == io::ErrorKind::NotFound {
-                self.rescue();
-            }
-        })?;
+        let (segment, offset) = self.append(&bytes)?;
         // Making room may have removed older ones.
         if let Some(index) = self.find(key) {
             self.entries[index].place = Place::Disk { segment, offset };
@@ -130,18 +127,40 @@ impl Spool {
         Checkpoint { next_key: key, last_seq }
     }
 
-    /// Somebody has removed the folder: what can still be read of it is kept in memory, until it is
-    /// written to a new one.
-    fn rescue(&mut self) {
-        for entry in &mut self.entries {
-            let Place::Disk { segment, offset } = entry.place else { continue };
-            let read = self.segments.get(&segment).map(|segment| segment.read(offset));
-            if let Some(Ok(Some(Record::Window { message, .. }))) = read {
+    /// Whether somebody has removed the file that is written to, or all of the folder. What can still be
+    /// read of such files is in memory then, to be written to a new one.
+    pub(super) fn notice_removal(&mut self) -> bool {
+        if !self.segments.values().next_back().is_some_and(Segment::is_removed) {
+            return false;
+        }
+        let is_gone = |segment: &u64| self.segments.get(segment).is_none_or(Segment::is_removed);
+        let mut lost = 0;
+        for mut entry in std::mem::take(&mut self.entries) {
+            if let Place::Disk { segment, offset } = entry.place
+                && is_gone(&segment)
+            {
+                let read = self.segments.get(&segment).map(|segment| segment.read(offset));
+                let Some(Ok(Some(Record::Window { message, .. }))) = read else {
+                    lost += 1;
+                    continue;
+                };
                 entry.place = Place::Memory(message);
             }
+            self.entries.push_back(entry);
         }
-        self.segments.clear();
-        (self.lock, self.numbers) = (None, None);
+        self.segments.retain(|_, segment| !segment.is_removed());
+        self.counts.damaged += lost;
+        self.writable = false;
+        let folder = self.folder.as_deref().unwrap_or(Path::new(""));
+        if !folder.exists() {
+            (self.lock, self.numbers) = (None, None);
+        }
+        log::error!(
+            "spool {}: somebody has removed its files; {lost} waiting windows are lost by that, the others \
+             are written anew",
+            folder.display()
+        );
+        true
     }
 
     /// The disk has refused: nothing more goes into this segment.

@@ -226,13 +226,46 @@ fn a_folder_that_is_removed_costs_nothing() {
     accept(&mut spool, 60);
     std::fs::remove_dir_all(&path).expect("removing it");
     accept(&mut spool, 60);
-    assert_eq!((spool.counts().in_memory, spool.counts().waiting), (3, 3));
-    accept(&mut spool, 60);
-    assert_eq!((spool.counts().in_memory, spool.counts().waiting), (0, 4));
+    assert_eq!((spool.counts().in_memory, spool.counts().waiting), (0, 3));
+    std::fs::remove_dir_all(&path).expect("removing it");
+    // The program ends before the next window.
+    spool.note_acknowledged();
+    assert!(Spool::open(&path, WEEK).is_err(), "the new folder has its lock");
     drop(spool);
     let mut spool = Spool::open(&path, WEEK).expect("nobody else has it");
-    assert_eq!(arrears(&mut spool), [(60, 1), (60, 2), (60, 3), (60, 4)]);
-    assert_eq!(accept(&mut spool, 60), 5, "the numbers go on");
+    assert_eq!(arrears(&mut spool), [(60, 1), (60, 2), (60, 3)]);
+    assert_eq!(accept(&mut spool, 60), 4, "the numbers go on");
+}
+
+#[test]
+fn what_cannot_be_read_of_a_removed_folder_takes_nothing_along() {
+    let parent = folder();
+    let path = parent.path().join("spool");
+    let mut spool = Spool::open(&path, WEEK).expect("nobody else has it");
+    // Several segments; only the newest has a descriptor.
+    (0..200).for_each(|_| _ = accept(&mut spool, 60));
+    std::fs::remove_dir_all(&path).expect("removing it");
+    (0..200).for_each(|_| _ = accept(&mut spool, 60));
+    let counts = spool.counts();
+    assert_eq!((counts.in_memory, counts.waiting + counts.damaged), (0, 400));
+    assert!(counts.damaged > 0 && counts.waiting > 200, "{counts:?}");
+    let kept = arrears(&mut spool);
+    assert_eq!(kept.len() as u64, counts.waiting);
+    assert_eq!(kept.last(), Some(&(60, 400)));
+}
+
+#[test]
+fn a_newest_file_that_is_removed_leaves_the_others() {
+    let folder = folder();
+    let mut spool = open(&folder);
+    (0..200).for_each(|_| _ = accept(&mut spool, 60));
+    let newest =
+        files(&folder).into_iter().rfind(|file| file.extension().is_some_and(|e| e == "spool"));
+    std::fs::remove_file(newest.expect("segments")).expect("removing it");
+    accept(&mut spool, 60);
+    assert_eq!((spool.counts().in_memory, spool.counts().waiting), (0, 201));
+    drop(spool);
+    assert_eq!(arrears(&mut open(&folder)).len(), 201);
 }
 
 #[test]

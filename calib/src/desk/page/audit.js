@@ -12,6 +12,7 @@ import * as server from "./server.js";
  * What was counted so far.
  * @typedef {Object} Sheet
  * @property {string[]} frames
+ * @property {number[]} lanes
  * @property {string[][]} typed what was typed, by picture and lane
  * @property {boolean[]} skipped pictures that cannot be counted
  * @property {number} at the picture that is counted now
@@ -38,7 +39,7 @@ async function ask(desk, ask) {
     desk.kept.auditProblem = /** @type {Error} */ (error).message;
   }
   const now = state(desk);
-  if (now && now.frames.length && sheet(desk)?.frames.join() !== now.frames.join()) begin(desk, now);
+  if (now && now.frames.length && !fits(sheet(desk), now)) begin(desk, now);
   if (now && [now.choosing, now.comparing].includes("running")) setTimeout(() => ask_again(desk), POLL_MS);
   else if (now?.problem) showContradiction(desk, now.problem);
   desk.render();
@@ -48,10 +49,13 @@ async function ask(desk, ask) {
 /** @param {Desk} desk */
 const ask_again = (desk) => ask(desk, server.audit);
 
+/** Whether a sheet is of these pictures and lanes. @param {Sheet | null} sheet @param {AuditState} now */
+const fits = (sheet, { frames, lanes }) => !!sheet && sheet.frames.join() === frames.join() && sheet.lanes.join() === lanes.join();
+
 /** @param {Desk} desk @param {AuditState} now */
 function begin(desk, now) {
   const { frames, lanes } = now;
-  desk.kept.sheet = { frames, typed: frames.map(() => lanes.map(() => "")), skipped: frames.map(() => false), at: 0, focus: "" };
+  desk.kept.sheet = { frames, lanes, typed: frames.map(() => lanes.map(() => "")), skipped: frames.map(() => false), at: 0, focus: "" };
   go(desk, 0);
 }
 

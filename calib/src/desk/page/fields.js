@@ -71,10 +71,9 @@ export function wrongFields(desk) {
 /** An undo makes new lengths: a wrong text goes on with the length in the same place. @param {Desk} desk @param {Drawing} before */
 export function carry(desk, before) {
   const now = desk.store.drawing.lengths;
-  if (now.length !== before.lengths.length) return;
   before.lengths.forEach((s, k) => {
     const wrong = desk.wrong.get(s);
-    if (wrong) desk.wrong.set(now[k], { ...wrong, field: metresOf(now[k], k) });
+    if (wrong && String(now[k]?.points) === String(s.points)) desk.wrong.set(now[k], { ...wrong, field: metresOf(now[k], k) });
   });
 }
 

@@ -206,7 +206,7 @@ export class Desk {
     this.isLooking = true;
     this.isStale = false;
     try {
-      this.look = await server.look(this.store.drawing);
+      this.look = await server.look(this.store.drawing, this.version);
       this.failure = "";
     } catch (error) {
       this.failure = /** @type {Error} */ (error).message;
@@ -330,7 +330,9 @@ export class Desk {
     const { site } = this;
     if (!site.draft) return null;
     const keep = () => { site.draft = false; this.render(); };
-    const drop = () => server.dropDraft().then(() => { this.store.changed = false; location.reload(); });
+    const drop = () => server.dropDraft().then(
+      () => { this.store.changed = false; location.reload(); },
+      (/** @type {Error} */ error) => { this.notice = error.message; this.render(); });
     return el("div", { class: "card fair", id: "draft" },
       "This goes on with what was drawn and not saved. ",
       el("div", { class: "actions" },
@@ -388,7 +390,7 @@ async function open() {
     if (isAsked) await collect(camera);
     if (location.hash) history.replaceState(null, "", location.pathname);
     const site = await server.site();
-    pictures.prefill(site);
+    if (!site.saved && !site.draft) pictures.prefill(site);
     const desk = new Desk(site);
     await desk.showPicture();
     desk.stage.fit();

@@ -26,6 +26,7 @@ async function run(desk) {
       const saved = await server.save(store.drawing, desk.version);
       kept.saved = saved;
       desk.version = saved.version;
+      desk.site.draft = false;
       store.saved(sent);
     } catch (error) {
       kept.saved = null;

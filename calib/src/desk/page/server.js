@@ -50,8 +50,8 @@ const post = (path, value) =>
 
 /** @returns {Promise<import("./types.js").Site>} */
 export const site = () => get("api/site");
-/** @param {Drawing} drawing @returns {Promise<import("./types.js").Look>} */
-export const look = (drawing) => post("api/look", drawing);
+/** @param {Drawing} drawing @param {number} version the drawing that this page went on from @returns {Promise<import("./types.js").Look>} */
+export const look = (drawing, version) => post(`api/look/${version}`, drawing);
 /** @param {Drawing} drawing @param {number} version the drawing that this page went on from @returns {Promise<import("./types.js").Saved>} */
 export const save = (drawing, version) => post(`api/save/${version}`, drawing);
 /** @param {Drawing} drawing @returns {Promise<import("./types.js").LineDashes[]>} */

@@ -16,13 +16,21 @@ const POLL_MS = 1000;
 /** @param {Desk} desk */
 async function poll(desk) {
   clearTimeout(desk.kept.polling);
+  const before = desk.site.traffic.state;
   try {
     desk.site.traffic = await server.traffic();
   } catch (error) {
     desk.kept.countProblem = /** @type {Error} */ (error).message;
   }
   if (desk.site.traffic.state === "running") desk.kept.polling = setTimeout(() => poll(desk), POLL_MS);
-  else if (desk.site.traffic.state === "done") count(desk);
+  else if (desk.site.traffic.state === "done") {
+    // The camera was fitted to the boxes of the search before.
+    if (before === "running" && desk.store.drawing.use_traffic) {
+      desk.isStale = true;
+      desk.measure();
+    }
+    count(desk);
+  }
   desk.render();
 }
 

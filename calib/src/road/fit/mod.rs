@@ -103,7 +103,7 @@ pub struct Fit {
 /// # Errors
 /// Says what is missing, or which cue cannot lie on any road.
 pub fn fit(cues: &Cues, image_size: [u32; 2]) -> Result<Fit> {
-    let (mut found, _) = fit_of(cues, image_size)?;
+    let (mut found, _) = fit_of(cues, image_size, true)?;
     // It bends the camera, so that whatever else is refused may follow from it.
     if let Some(reason) = width::contradicted(cues, image_size) {
         found.trust = Trust::Refused(reason);
@@ -111,8 +111,9 @@ pub fn fit(cues: &Cues, image_size: [u32; 2]) -> Result<Fit> {
     Ok(found)
 }
 
-/// The fit with its view, where lanes are not compared with the other cues.
-fn fit_of(cues: &Cues, image_size: [u32; 2]) -> Result<(Fit, View)> {
+/// The fit with its view, where lanes are not compared with the other cues; `unchecked`: with a look for
+/// standards that nothing checks, which takes two fits for each.
+fn fit_of(cues: &Cues, image_size: [u32; 2], unchecked: bool) -> Result<(Fit, View)> {
     check::usable(cues, image_size)?;
     let open = || Error::Solver {
         method: METHOD,
@@ -139,7 +140,7 @@ fn fit_of(cues: &Cues, image_size: [u32; 2]) -> Result<(Fit, View)> {
     let weights = &problem.mark_weight;
     let fitted = Fitted { camera: &unknowns, information: &information, image_size, weights };
     let mut doubts = fitted.contradicted(&cues.marks);
-    if doubts.is_empty() {
+    if doubts.is_empty() && unchecked {
         doubts = doubt::unchecked(cues, image_size, optimum.cost);
     }
     let found = Fit {

@@ -20,7 +20,8 @@ pub(super) fn contradicted(cues: &Cues, image_size: [u32; 2]) -> Option<Reason> 
         return None;
     }
     let bare = Cues { lanes: Vec::new(), boxes: Vec::new(), lane_width_m: None, ..cues.clone() };
-    let (found, view) = fit_of(&bare, image_size).ok().filter(|(f, _)| is_usable(&f.trust))?;
+    let (found, view) =
+        fit_of(&bare, image_size, false).ok().filter(|(f, _)| is_usable(&f.trust))?;
     let [expected_m, sd_m] = match cues.lane_width_m {
         Some(stated) => [stated, STATED_WIDTH_SD_M.hypot(LANE_EACH_M)],
         None => [LANE_WIDTH_M[0], LANE_WIDTH_M[1].hypot(LANE_EACH_M)],

@@ -93,6 +93,7 @@ impl Client {
                     self.login.challenged(&head, with_login, address.secure)?;
                 }
                 301..=303 | 307 | 308 if head.get("location").is_some() => {
+                    self.login.passed();
                     redirects += 1;
                     if redirects > MAX_REDIRECTS {
                         return Err(Fault::Redirects(format!("more than {MAX_REDIRECTS} times")));

@@ -120,6 +120,11 @@ impl Login {
         Ok(())
     }
 
+    /// The camera answered without asking for the login again: what it calls stale later has run out.
+    pub fn passed(&mut self) {
+        self.stale = 0;
+    }
+
     /// The camera took the login, or wants none.
     pub fn accepted(&mut self) {
         self.used = self.client.is_some();

@@ -199,7 +199,7 @@ impl Session {
                                 "the camera has ended the session".to_owned(),
                             ));
                         }
-                        _ => {}
+                        _ => login.passed(),
                     },
                     Message::Packet(..) | Message::Other => {}
                 }
@@ -231,6 +231,7 @@ impl Session {
             let with_login = self.send(login, method, uri, lines)?;
             let (head, body) = self.answer()?;
             if head.status != 401 {
+                login.passed();
                 return Ok((head, body));
             }
             login.challenged(&head, with_login, self.address.secure)?;

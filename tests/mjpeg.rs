@@ -173,7 +173,7 @@ fn faults_are_named_and_waited_out() {
     };
     for (does, expected) in [
         (status("401 Unauthorized"), "does not say which"),
-        (status("404 Not Found"), "camera.source"),
+        (status("404 Not Found"), "check the path in the address"),
         (vec![head("image/jpeg"), pause(50)], "leave mjpeg+ away"),
         (vec![stream()], "the stream ended"),
         (vec![stream(), Does::Send(b"--frame--\r\n".to_vec())], "the stream ended"),

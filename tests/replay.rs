@@ -322,7 +322,7 @@ fn a_table_of_another_shape_is_refused() {
         fails(&["--table", K109F_TABLE, "--frames", text(folder.path()), "--interval", "9"]);
     assert_eq!(code, 65, "{said}");
     assert!(said.contains("640x360") && said.contains("K109F"), "{said}");
-    // One fault of all frames is told once, with their number.
+    // A fault that all frames share is logged once, with their number.
     assert!(said.contains("frame a.jpg is left out") && !said.contains("frame b.jpg"), "{said}");
     assert!(said.contains("2 more frames are left out"), "{said}");
 }

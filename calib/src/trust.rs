@@ -248,9 +248,9 @@ impl fmt::Display for Reason {
             ),
             Reason::LaneWidth { name, width_m, expected_m } => write!(
                 f,
-                "{name}: by everything else they bound {width_m:.1} m of road, where a lane of \
-                 {expected_m:.1} m was expected; draw the line that is missing, say where no lane \
-                 lies, or give the width of the lanes"
+                "{name}: everything else makes this lane {width_m:.1} m wide, where {expected_m:.1} m was \
+                 expected; draw the missing line, mark where no lane lies, or give the width of \
+                 the lanes"
             ),
             Reason::AboveHorizon { vehicle, label, uv: [u, v] } => write!(
                 f,

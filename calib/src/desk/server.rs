@@ -195,8 +195,8 @@ impl Desk {
         let mut latest = self.latest();
         if version != latest.version.to_string() {
             return Err(Error::Usage(
-                "another window has saved this site since this page was loaded: load this page \
-                 again to go on from there; what was drawn here since then is lost by that"
+                "another window has saved this site since you opened this page: reload the page to \
+                 continue from there; what you drew here since then will be lost"
                     .into(),
             ));
         }

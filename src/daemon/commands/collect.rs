@@ -95,8 +95,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     if unchanged + failed > 0 {
         eprintln!(
-            "verge: {collected} pictures in {}; the camera was asked {} times, gave the picture before \
-             {unchanged} times and none {failed} times",
+            "verge: {collected} pictures saved to {} from {} requests; {unchanged} repeated the previous \
+             picture, {failed} failed",
             args.frames.display(),
             collected + unchanged + failed
         );

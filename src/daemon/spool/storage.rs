@@ -156,8 +156,8 @@ impl Spool {
             (self.lock, self.numbers) = (None, None);
         }
         log::error!(
-            "spool {}: somebody has removed its files; {lost} waiting windows are lost by that, the others \
-             are written anew",
+            "spool {}: its files were removed; {lost} waiting windows are lost, the others are written \
+             again",
             folder.display()
         );
         true

@@ -334,7 +334,7 @@ export class Desk {
       () => { this.store.changed = false; location.reload(); },
       (/** @type {Error} */ error) => { this.notice = error.message; this.render(); });
     return el("div", { class: "card fair", id: "draft" },
-      "This goes on with what was drawn and not saved. ",
+      "You are continuing a drawing that was not saved. ",
       el("div", { class: "actions" },
         el("button", { class: "primary", id: "keep-draft", onclick: keep }, "Go on with it"),
         el("button", { id: "drop-draft", onclick: drop }, "Drop it")));

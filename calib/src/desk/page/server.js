@@ -2,7 +2,7 @@
 
 /** @typedef {import("./types.js").Drawing} Drawing */
 
-const GONE = "The desk's program has ended. Start `mvcalib desk` again and open its new address: what is drawn here is kept.";
+const GONE = "The desk's program has ended. Start `mvcalib desk` again and open its new address: it continues with what you had drawn until then; what you draw on this page now will be lost.";
 
 /**
  * @param {Response} response

@@ -7,6 +7,7 @@ use common::{
 };
 use serde_json::Value;
 use std::path::Path;
+use std::process::Command;
 
 /// The windows of the street's recording, byte for byte: a change of them reaches every user.
 const WINDOWS: &str = "tests/data/curve/windows.jsonl";
@@ -192,6 +193,9 @@ fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
     file("20260105T080030Z.jpg", b"<html>no picture</html>");
     file("20260105T080040Z.jpg", &jpeg(64, 64, 90));
     file("20260105T080050Z.jpg", &jpeg(320, 240, 120));
+    // Nobody will ever write into it.
+    let fifo = folder.path().join("20260105T080025Z.jpg");
+    assert!(Command::new("mkfifo").arg(&fifo).status().expect("coreutils").success());
     let output = verge(&[
         "replay",
         "--table",
@@ -204,8 +208,15 @@ fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
     ]);
     assert!(output.status.success(), "{}", stderr(&output));
     let said = stderr(&output);
-    for expected in ["080010Z.jpg is left out", "cut off", "empty", "HTML page", "64x64", "320x240"]
-    {
+    for expected in [
+        "080010Z.jpg is left out",
+        "not a plain file",
+        "cut off",
+        "empty",
+        "HTML page",
+        "64x64",
+        "320x240",
+    ] {
         assert!(said.contains(expected), "{expected}: {said}");
     }
     let window: Value = serde_json::from_slice(&output.stdout).expect("one window");

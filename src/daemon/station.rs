@@ -11,8 +11,8 @@ use crate::refresh::Refresh;
 use crate::sensor::Outcome;
 use std::time::{Duration, Instant};
 
-/// Answers in a row that make a camera slow.
-const ANSWERS: usize = 3;
+/// Slow answers in a row that make a camera slow.
+pub const ANSWERS: usize = 3;
 
 /// Advice for a camera that has a picture to measure less often than it is asked.
 pub fn advice(period: Duration, interval: Duration) -> String {
@@ -22,11 +22,6 @@ pub fn advice(period: Duration, interval: Duration) -> String {
          few of them: set camera.interval_s = {whole:.0}, or make the camera faster",
         interval.as_secs_f64()
     )
-}
-
-/// Whether pictures that take so long leave windows too few of them.
-fn is_slower(period: Duration, interval: Duration) -> bool {
-    period.saturating_mul(2) > interval.saturating_mul(3)
 }
 
 /// How often a camera has a new picture.
@@ -81,19 +76,14 @@ impl Station {
         Ok(captured? == Captured::New)
     }
 
-    /// Advice where a snapshot takes so long that windows would have too few of them.
-    pub fn slow_answers(&self) -> Option<String> {
+    /// Advice where each of the latest `count` snapshots, at most [`ANSWERS`], took so long that
+    /// windows would have too few of them.
+    pub fn slow_answers(&self, count: usize) -> Option<String> {
+        let Source::Snapshot(_) = self.source else { return None };
         let interval = self.source.interval();
-        let least = self.answers.into_iter().min()?;
-        let is_slow = matches!(self.source, Source::Snapshot(_)) && is_slower(least, interval);
-        is_slow.then(|| advice(least, interval))
-    }
-
-    /// The same of the latest one alone.
-    pub fn slow_answer(&self) -> Option<String> {
-        let (last, interval) = (self.answers[ANSWERS - 1], self.source.interval());
-        let is_slow = matches!(self.source, Source::Snapshot(_)) && is_slower(last, interval);
-        is_slow.then(|| advice(last, interval))
+        let least = self.answers.iter().rev().take(count).min().copied()?;
+        let is_slower = least.saturating_mul(2) > interval.saturating_mul(3);
+        is_slower.then(|| advice(least, interval))
     }
 
     /// Takes a picture and looks where the camera looks, without measuring. `None`: the picture before

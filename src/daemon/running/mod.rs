@@ -17,7 +17,7 @@ use super::exit::Failure;
 use super::outlet::Outlet;
 use super::publish::payload::status_name;
 use super::reload::Candidate;
-use super::station::{Station, advice};
+use super::station::{ANSWERS, Station, advice};
 use crate::derate::Pace;
 use crate::hal::{Switch, Thermometer, Watchdog};
 use crate::health::Actions;
@@ -213,7 +213,9 @@ impl Running {
             }
         };
         let slow = sensor.camera_period().map(|period| advice(period, sensor.interval()));
-        hands.note_slow(slow.or_else(|| station.slow_keys()).or_else(|| station.slow_answers()));
+        hands.note_slow(
+            slow.or_else(|| station.slow_keys()).or_else(|| station.slow_answers(ANSWERS)),
+        );
         turned
     }
 

@@ -150,7 +150,7 @@ fn measure(station: &mut Station, interval: Duration) -> Result<String, Failure>
     let (mut found, mut located) = station.line().latest();
     std::thread::sleep(APART);
     let is_new = station.capture()?;
-    if let Some(advice) = station.slow_answer() {
+    if let Some(advice) = station.slow_answers(1) {
         return Err(Failure::Pace(advice));
     }
     let mut second = if is_new { measured(station)? } else { Some(Event::Unchanged) };

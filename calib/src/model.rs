@@ -4,7 +4,7 @@
 //! picture (see `vehicle`).
 
 use crate::error::{Error, Result};
-use crate::files::plain;
+use crate::plain;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -29,8 +29,8 @@
 use super::stated::{StatedErrors, Uncertainty};
 use crate::camera::{Camera, Lens, Pose};
 use crate::error::{Error, Result};
-use crate::files::plain;
 use crate::length_error::{CameraCovariance, UncertainCamera};
+use crate::plain;
 use crate::trust::Trust;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};

@@ -5,8 +5,8 @@
 
 use crate::bodies::Body;
 use crate::error::{Error, Result};
-use crate::files::plain;
 use crate::model::KEY_POINT_COUNT;
+use crate::plain;
 use crate::vehicle::{KeyPoint, Vehicle};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};

@@ -5,6 +5,5 @@
 pub mod calibration;
 pub mod labelme;
 pub mod picture;
-pub mod plain;
 pub mod registration;
 pub mod stated;

@@ -6,7 +6,7 @@
 //! u = u_reference + du, v = v_reference + dv, px.
 
 use crate::error::{Error, Result};
-use crate::files::plain;
+use crate::plain;
 use crate::vehicle::Vehicle;
 use nalgebra::Vector2;
 use serde::Deserialize;

@@ -6,7 +6,7 @@
 
 use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
-use crate::files::plain;
+use crate::plain;
 use crate::road::fit::{BoxCue, Class, LaneCue};
 use crate::road::lane_axis;
 use crate::road::outline::{self, Outline};

@@ -8,7 +8,7 @@
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
-use crate::files::plain;
+use crate::plain;
 use crate::road::fit::{MarkCue, RectangleCue};
 use crate::road::standards;
 use nalgebra::{Vector2, Vector3};

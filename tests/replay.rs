@@ -333,6 +333,27 @@ fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
 }
 
 #[test]
+fn one_table_is_not_two_presets() {
+    let folder = folder();
+    let (copy, link) = (folder.path().join("copy.lut"), folder.path().join("link.lut"));
+    std::fs::copy(common::STREET_TABLE, &copy).expect("copied");
+    let here = std::env::current_dir().expect("a working directory");
+    std::os::unix::fs::symlink(here.join(common::STREET_TABLE), &link).expect("a link");
+    for other in [common::STREET_TABLE, text(&copy), text(&link)] {
+        let (code, said) = fails(&[
+            "--table",
+            common::STREET_TABLE,
+            "--table",
+            other,
+            "--frames",
+            common::STREET_FRAMES,
+        ]);
+        let words = format!("lane table {other} shows the same pose of the camera as ");
+        assert!(code == 65 && said.contains(&words), "{code}: {said}");
+    }
+}
+
+#[test]
 fn what_bench_and_view_cannot_have_is_said_plainly() {
     let bench = verge(&["bench", "--count", "0"]);
     assert_eq!(bench.status.code(), Some(64), "{}", stderr(&bench));

@@ -8,8 +8,24 @@ use jiff::civil;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-/// The end of a certificate's validity, "not after"; `None` for what is not a certificate.
+/// Tags of the two forms of a time.
+const UTC_TIME: u8 = 0x17;
+const GENERALIZED_TIME: u8 = 0x18;
+
+/// The end of a certificate's validity, "not after"; `None` for what is not a certificate, and for one
+/// that does not end (99991231235959Z).
 pub fn not_after(der: &[u8]) -> Option<UtcMs> {
+    let (tag, time) = end_of(der)?;
+    time_of(tag, time)
+}
+
+/// Whether this has the form of a certificate, whatever it says.
+pub fn is_certificate(der: &[u8]) -> bool {
+    end_of(der).is_some_and(|(tag, _)| matches!(tag, UTC_TIME | GENERALIZED_TIME))
+}
+
+/// The end of the validity as it stands there, with its tag.
+fn end_of(der: &[u8]) -> Option<(u8, &[u8])> {
     let (_, certificate, _) = element(der)?;
     let (_, mut rest, _) = element(certificate)?;
     // Version, where it is not the first: an explicit tag 0.
@@ -24,7 +40,7 @@ pub fn not_after(der: &[u8]) -> Option<UtcMs> {
     let (_, validity, _) = element(rest)?;
     let (_, _, rest) = element(validity)?;
     let (tag, time, _) = element(rest)?;
-    time_of(tag, time)
+    Some((tag, time))
 }
 
 /// Tag, content, and what follows.
@@ -48,12 +64,12 @@ fn element(der: &[u8]) -> Option<(u8, &[u8], &[u8])> {
 fn time_of(tag: u8, text: &[u8]) -> Option<UtcMs> {
     let text = std::str::from_utf8(text).ok()?.strip_suffix('Z')?;
     let (year, rest) = match tag {
-        0x17 => {
+        UTC_TIME => {
             let (year, rest) = text.split_at_checked(2)?;
             let year: i16 = year.parse().ok()?;
             (if year < 50 { 2000 + year } else { 1900 + year }, rest)
         }
-        0x18 => {
+        GENERALIZED_TIME => {
             let (year, rest) = text.split_at_checked(4)?;
             (year.parse().ok()?, rest)
         }

@@ -4,7 +4,7 @@
 //! fingerprint. A certificate that stands in the file itself, or whose fingerprint is pinned, is
 //! taken as it is: cameras make their own, for no name and long expired.
 
-use super::certificate::{End, not_after};
+use super::certificate::{End, is_certificate};
 use super::foreign::shown;
 use rustls::client::WebPkiServerVerifier;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
@@ -66,7 +66,7 @@ impl Trust {
             return Err(none.to_owned());
         }
         // A key or a bundle in DER begins as a certificate does.
-        if certificates.iter().all(|certificate| not_after(certificate).is_none()) {
+        if !certificates.iter().any(|certificate| is_certificate(certificate)) {
             return Err("what is in it is not a certificate: export that alone, as PEM".to_owned());
         }
         Ok(Self::Certificates(Arc::new(Known { file: file.to_owned(), certificates })))

@@ -44,3 +44,16 @@ fn a_file_without_a_certificate_is_refused() {
     let pem = "-----BEGIN CERTIFICATE-----\nMAMCAQM=\n-----END CERTIFICATE-----\n";
     assert!(refused(pem.as_bytes()).contains("not a certificate"));
 }
+
+#[test]
+fn a_certificate_without_an_end_is_one() {
+    // RFC 5280, 4.1.2.5: 99991231235959Z, which no clock of ours reaches.
+    let mut parameters = rcgen::CertificateParams::new(["box".to_owned()]).expect("a name");
+    parameters.not_after = rcgen::date_time_ymd(9999, 12, 31);
+    let key = rcgen::KeyPair::generate().expect("a key");
+    let made = parameters.self_signed(&key).expect("a certificate");
+    assert_eq!(crate::daemon::certificate::not_after(made.der()), None);
+    for content in [made.pem().as_bytes(), made.der().as_ref()] {
+        assert!(Trust::certificates(Path::new("ca.pem"), content).is_ok());
+    }
+}

@@ -356,6 +356,144 @@ fn a_draft_on_other_pictures_is_kept_and_said() {
 }
 
 #[test]
+fn a_configuration_that_nobody_changed_follows_the_desk() {
+    let desk = Desk::open(&street());
+    let mut drawing = desk.true_drawing();
+    let config =
+        |desk: &Desk| std::fs::read_to_string(desk.site.path().join("site/verge.toml")).unwrap();
+    assert_eq!(desk.post("api/save/0", &drawing).0, 200);
+    let first = config(&desk);
+    assert!(first.contains("# The folder of pictures at the desk."), "{first}");
+    drawing["source"] = json!("rtsp://cam/s");
+    let (_, saved) = desk.post("api/save/1", &drawing);
+    assert!(!saved["files"].to_string().contains("by hand"), "{saved}");
+    let text = config(&desk);
+    assert!(!text.contains("# The folder") && text.contains("\"rtsp://cam/s\""), "{text}");
+    drawing["source"] = json!("");
+    assert_eq!(desk.post("api/save/2", &drawing).0, 200);
+    assert_eq!(config(&desk), first);
+    // Other pictures of the same scene, a minute apart.
+    let frames = tempfile::tempdir().unwrap();
+    let mut all: Vec<_> =
+        std::fs::read_dir(street().join("frames")).unwrap().map(|e| e.unwrap().path()).collect();
+    all.sort();
+    for (n, path) in all.iter().enumerate() {
+        std::fs::copy(path, frames.path().join(format!("20260106T10{n:02}00Z.jpg"))).unwrap();
+    }
+    let site = tempfile::tempdir().unwrap();
+    copy(&desk.site.path().join("site"), &site.path().join("site"));
+    let other = Desk::again(frames.path(), site);
+    let (status, saved) = other.post("api/save/0", &other.drawing());
+    assert_eq!(status, 200, "{saved}");
+    assert!(!saved["files"].to_string().contains("by hand"), "{saved}");
+    let text = config(&other);
+    let source = frames.path().canonicalize().unwrap();
+    assert!(
+        text.contains(source.to_str().unwrap()) && text.contains("interval_s = 60.0"),
+        "{text}"
+    );
+    // What a person wrote stays, whatever pictures are opened.
+    let by_hand =
+        first.replace("[60, 900]", "[300]").replace("interval_s = 4.0", "interval_s = 2.0");
+    let site = tempfile::tempdir().unwrap();
+    copy(&desk.site.path().join("site"), &site.path().join("site"));
+    std::fs::write(site.path().join("site/verge.toml"), &by_hand).unwrap();
+    let other = Desk::again(frames.path(), site);
+    assert_eq!(other.post("api/save/0", &other.drawing()).0, 200);
+    let text = config(&other);
+    assert!(text.contains("[300]") && text.contains("interval_s = 2.0"), "{text}");
+}
+
+#[test]
+fn where_nothing_tells_what_the_desk_wrote_nothing_is_overwritten() {
+    let desk = Desk::open(&street());
+    let mut drawing = desk.true_drawing();
+    drawing["source"] = json!("http://cam/snap.jpg");
+    assert_eq!(desk.post("api/save/0", &drawing).0, 200);
+    let site = tempfile::tempdir().unwrap();
+    copy(&desk.site.path().join("site"), &site.path().join("site"));
+    let _ = std::fs::remove_file(site.path().join("site/verge.toml.saved"));
+    let edit = |name: &str, changes: &[[&str; 2]]| {
+        let path = site.path().join("site").join(name);
+        let text = std::fs::read_to_string(&path).unwrap();
+        let text = changes.iter().fold(text, |text, [from, to]| text.replace(from, to));
+        std::fs::write(&path, &text).unwrap();
+        text
+    };
+    // As an earlier version took it, which could not be written today.
+    let secret = ["http://cam/snap.jpg", "http://cam/snap.jpg?pwd=s3cret"];
+    edit("site.json", &[secret]);
+    let hand = edit(
+        "verge.toml",
+        &[
+            secret,
+            ["lengths_s = [60, 900]", "lengths_s = [300]"],
+            ["interval_s = 4.0", "interval_s = 2"],
+        ],
+    );
+    let again = Desk::again(&street(), site);
+    let mut drawing = again.drawing();
+    drawing["source"] = json!("");
+    let (status, saved) = again.post("api/save/0", &drawing);
+    assert_eq!(status, 200, "{saved}");
+    let file = again.site.path().join("site/verge.toml");
+    assert_eq!(std::fs::read_to_string(file).unwrap(), hand);
+    assert!(saved["files"].to_string().contains("what stood in it stays"), "{saved}");
+}
+
+#[test]
+fn saving_keeps_an_audit_however_it_is_written_and_takes_a_stale_one_out() {
+    let desk = Desk::open(&street());
+    let drawing = desk.true_drawing();
+    let file = |name: &str| desk.site.path().join("site").join(name);
+    assert_eq!(desk.post("api/save/0", &drawing).0, 200);
+    let plain = std::fs::read_to_string(file("verge.toml")).unwrap();
+    let version = std::cell::Cell::new(1);
+    let saved = |text: &str| {
+        std::fs::write(file("verge.toml"), text).unwrap();
+        let (status, answer) = desk.post(&format!("api/save/{}", version.get()), &drawing);
+        assert_eq!(status, 200, "{answer}");
+        version.set(version.get() + 1);
+        std::fs::read_to_string(file("verge.toml")).unwrap()
+    };
+    let table = "[lane_table]\nfile = \"lanes.lut\"\n";
+    let with = |audit: &str| plain.replace(table, &format!("{table}{audit}\n"));
+    std::fs::write(file("audit.toml"), "x = 1\n").unwrap();
+    for text in [
+        with("audit = \"audit.toml\""),
+        with("audit = \"audit.toml\" # counted 5 May"),
+        with("audit  =  'audit.toml'"),
+        with("audit = \"./audit.toml\""),
+        with("audit = \"mine.toml\""),
+        with("# audit = \"audit.toml\""),
+        with("audit = \"audit.toml\"").replace('\n', "\r\n"),
+        format!("{}\n{table}audit = \"audit.toml\"", plain.replace(table, "")),
+    ] {
+        assert_eq!(saved(&text), text);
+    }
+    std::fs::remove_file(file("audit.toml")).unwrap();
+    let inline = "lane_table = { file = \"lanes.lut\", audit = \"audit.toml\" }\n";
+    let inline = plain.replace(table, "").replace("\n[camera]", &format!("{inline}\n[camera]"));
+    for text in [
+        with("audit = \"audit.toml\" # counted 5 May"),
+        with("audit  =  'audit.toml'"),
+        with("audit = \"./audit.toml\""),
+        inline,
+    ] {
+        let now = saved(&text);
+        assert!(!now.contains("audit") && now.contains("lanes.lut"), "{now}");
+    }
+    // What the sensor cannot do without comes back, and another table is said.
+    let now = saved("");
+    for line in ["site = \"bridge 7\"", "source = ", "file = \"lanes.lut\""] {
+        assert!(now.contains(line), "{now}");
+    }
+    std::fs::write(file("verge.toml"), plain.replace("lanes.lut", "old.lut")).unwrap();
+    let (_, answer) = desk.post(&format!("api/save/{}", version.get()), &drawing);
+    assert!(answer["files"].to_string().contains("lane table old.lut"), "{answer}");
+}
+
+#[test]
 fn saving_again_keeps_what_was_written_into_the_configuration() {
     let desk = Desk::open(&street());
     let mut drawing = desk.true_drawing();
@@ -379,8 +517,11 @@ fn saving_again_keeps_what_was_written_into_the_configuration() {
     let (status, saved) = desk.post("api/save/2", &drawing);
     assert_eq!(status, 200, "{saved}");
     assert!(saved["files"].to_string().contains("by hand"), "{saved}");
-    let now =
-        by_hand.replace("rtsp://cam/s", "http://cam/a.jpg").replace("\"freeway\"", "\"north\"");
+    let folder = "# The folder of pictures at the desk. On the box: the camera's address.\n";
+    let now = by_hand
+        .replace("rtsp://cam/s", "http://cam/a.jpg")
+        .replace("\"freeway\"", "\"north\"")
+        .replace(folder, "");
     assert_eq!(std::fs::read_to_string(&file).unwrap(), now);
     // What cannot be read is not overwritten.
     std::fs::write(&file, "site = \n").unwrap();

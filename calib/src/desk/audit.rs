@@ -3,12 +3,14 @@
 //! Owns running `verge audit` on the saved lane table, the file of answers, and naming the result
 //! in `verge.toml`. Which pictures are counted and what follows is decided by the sensor's own code.
 
+use super::merged::{LANES, audits, with_audit};
 use super::program::{Detector, Progress, Task};
 use super::site::Site;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::fmt::Write;
+use std::path::Path;
 use std::process::Command;
 use verge::lane::LaneTable;
 
@@ -17,12 +19,9 @@ pub const AUDIT: &str = "audit.toml";
 /// What was counted.
 pub const COUNTS: &str = "audit_counts.csv";
 /// The saved lane table.
-const TABLE: &str = "lanes.lut";
+const TABLE: &str = LANES;
 /// The saved configuration.
 const CONFIG: &str = "verge.toml";
-/// The key that names the audit, and the line behind which it goes.
-const KEY: &str = "audit = \"audit.toml\"\n";
-const BEHIND: &str = "file = \"lanes.lut\"\n";
 /// Pictures that a person counts.
 const FRAMES: usize = 10;
 
@@ -78,8 +77,7 @@ impl Audit {
         AuditState {
             detector: self.detector.is_some(),
             lanes: lanes(site).unwrap_or_default(),
-            audited: std::fs::read_to_string(site.file(CONFIG))
-                .is_ok_and(|text| text.contains(KEY)),
+            audited: std::fs::read_to_string(site.file(CONFIG)).is_ok_and(|text| audits(&text).0),
             choosing: choice.name(),
             frames: match &choice {
                 Progress::Done(frames) => frames.to_vec(),
@@ -115,6 +113,9 @@ impl Audit {
     /// As [`Self::choose`]; the state shows contradictions.
     pub fn compare(&self, site: &Site, answers: &[Answer]) -> Result<()> {
         let mut command = self.command(site)?;
+        let config = site.file(CONFIG);
+        // Before a minute of counting what cannot be named then.
+        named(&config)?;
         let mut text = String::from("frame,lane,vehicles\n");
         for Answer { frame, counts } in answers {
             if site.picture(frame).is_none() {
@@ -127,13 +128,11 @@ impl Audit {
         verge_desk::write_whole(&site.file(COUNTS), text.as_bytes())?;
         command.arg("--counts").arg(site.file(COUNTS));
         command.arg("--out").arg(site.file(AUDIT)).arg("--json");
-        let config = site.file(CONFIG);
         self.result.start(command, "", move |lines| {
             let text = lines.last().map_or("", String::as_str);
             let result = serde_json::from_str(text)
                 .map_err(|e| Error::Json { path: "verge audit".into(), detail: e.to_string() })?;
-            let text = named(&verge_desk::read_text(&config)?);
-            verge_desk::write_whole(&config, text.as_bytes())?;
+            verge_desk::write_whole(&config, named(&config)?.as_bytes())?;
             Ok(result)
         })
     }
@@ -162,30 +161,14 @@ fn lanes(site: &Site) -> Option<Vec<u8>> {
 /// Whether an audit of this lane table is there: one of another table does not hold.
 pub fn holds(site: &Site, table: &[u8]) -> bool {
     let config = std::fs::read_to_string(site.file(CONFIG)).unwrap_or_default();
-    config.contains(KEY)
+    audits(&config).1
         && site.file(AUDIT).is_file()
         && std::fs::read(site.file(TABLE)).is_ok_and(|saved| saved == table)
 }
 
-/// A configuration with the audit in it.
-pub fn named(config: &str) -> String {
-    if config.contains(KEY) {
-        return config.to_owned();
-    }
-    config.replacen(BEHIND, &format!("{BEHIND}{KEY}"), 1)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_audit_is_named_once_beside_the_table() {
-        let once = named("[lane_table]\nfile = \"lanes.lut\"\n\n[windows]\n");
-        assert_eq!(
-            once,
-            "[lane_table]\nfile = \"lanes.lut\"\naudit = \"audit.toml\"\n\n[windows]\n"
-        );
-        assert_eq!(named(&once), once);
-    }
+/// The configuration with the audit in it.
+fn named(config: &Path) -> Result<String> {
+    with_audit(&verge_desk::read_text(config)?).map_err(|why| {
+        Error::Usage(format!("{}: {why}: the audit cannot be named in it", config.display()))
+    })
 }

@@ -7,7 +7,7 @@ use super::audit;
 use super::backdrop::{Backdrop, spread};
 use super::drawing::{Drawing, Px};
 use super::look;
-use super::merged::merged;
+use super::merged::{FOLDER, LANES, merged, names_other_table, with_audit};
 use super::site::{POSE, SITE, Site, source};
 use super::traffic::Traffic;
 use crate::error::{Error, Result};
@@ -33,9 +33,13 @@ const WINDOWS_S: [u64; 2] = [60, 900];
 const OPTIONAL: [&str; 2] = ["lengths.json", "lane_lines.json"];
 
 const CONFIG: &str = "verge.toml";
+/// What the desk itself wrote into it last: it tells what people have changed since.
+const WRITTEN: &str = "verge.toml.saved";
 /// What [`CONFIG`] is.
 const OURS: &str = "the sensor's configuration";
 const BY_HAND: &str = "the sensor's configuration, with what was changed in it by hand";
+const UNKNOWN: &str = "the sensor's configuration: what stood in it stays, for nothing tells whether a \
+    person wrote it; look whether its source and windows are right";
 
 /// What was saved.
 #[derive(Debug, Serialize)]
@@ -87,16 +91,18 @@ pub fn save(
     )?;
     let mut config = toml(drawing, site, model)?;
     if audit::holds(site, &table) {
-        config = audit::named(&config);
+        config = with_audit(&config).map_err(Error::Usage)?;
     }
-    let (config, is_by_hand) = kept(config, site, model)?;
+    let written = config.clone();
+    let (config, what) = kept(config, drawing, site, model)?;
     let drawn = serde_json::to_string(drawing).expect("a drawing of finite numbers is JSON");
     let [lengths, lines] = drawing.labelme_lines();
     let mut files = vec![
         ("calibration.json", json.into_bytes(), "the camera, for `mvcalib verify` and `report`"),
         ("lanes.json", labelme(&drawing.labelme(&drawing.lanes)), "the lanes, for labelme too"),
-        ("lanes.lut", table, "the lane table, for `verge run`"),
-        (CONFIG, config.into_bytes(), if is_by_hand { BY_HAND } else { OURS }),
+        (LANES, table, "the lane table, for `verge run`"),
+        (CONFIG, config.into_bytes(), &*what),
+        (WRITTEN, written.into_bytes(), "what the desk wrote, by which it knows your changes"),
         (POSE, backdrop.png.clone(), "the picture that was drawn on"),
         (SITE, drawn.into_bytes(), "everything drawn: opened again by `mvcalib desk`"),
     ];
@@ -134,23 +140,43 @@ pub fn save(
     Ok(Saved { folder: site.folder.display().to_string(), files })
 }
 
-/// The configuration with what people have changed in that of the last save, and whether they have.
-fn kept(now: String, site: &Site, model: Option<&Path>) -> Result<(String, bool)> {
+/// The configuration with what people have changed in that of the last save, and what it is.
+fn kept(
+    now: String,
+    drawing: &Drawing,
+    site: &Site,
+    model: Option<&Path>,
+) -> Result<(String, String)> {
     let path = site.file(CONFIG);
     // Without a drawing beside it, it is another's.
-    let drawing = std::fs::read(site.file(SITE)).ok().and_then(|json| Drawing::parse(&json).ok());
-    let (Some(drawing), true) = (drawing, path.exists()) else { return Ok((now, false)) };
-    let before = toml(&drawing, site, model).unwrap_or_default();
+    let last = std::fs::read(site.file(SITE)).ok().and_then(|json| Drawing::parse(&json).ok());
+    let (Some(last), true) = (last, path.exists()) else { return Ok((now, OURS.into())) };
     let found = verge_desk::read_text(&path)?;
-    let merged = merged(&found, &before, &now).map_err(|why| {
+    let is_as_written =
+        |text: &String| *text == found || with_audit(text).is_ok_and(|text| text == found);
+    let before = std::fs::read_to_string(site.file(WRITTEN)).ok();
+    // Earlier versions left nothing that tells, unless all is as they would have written it.
+    let before = before.or_else(|| toml(&last, site, model).ok().filter(is_as_written));
+    if before.as_ref().is_some_and(is_as_written) {
+        return Ok((now, OURS.into()));
+    }
+    let is_typed = drawing.interval_s.is_some();
+    let merged = merged(&found, before.as_deref(), &now, is_typed).map_err(|why| {
         Error::Usage(format!(
             "{}: {why}: it was changed by hand and would be lost; mend it, or move it away, and save \
              again",
             path.display()
         ))
     })?;
-    let is_by_hand = merged != now;
-    Ok((merged, is_by_hand))
+    let what = match before {
+        _ if merged == now => OURS,
+        Some(_) => BY_HAND,
+        None => UNKNOWN,
+    };
+    let table = names_other_table(&merged).map(|other| {
+        format!("; it names the lane table {other}, and not {LANES}, which is saved here")
+    });
+    Ok((merged, format!("{what}{}", table.unwrap_or_default())))
 }
 
 fn points(polygon: &[Px]) -> Vec<Vector2<f64>> {
@@ -240,14 +266,14 @@ fn toml(drawing: &Drawing, site: &Site, model: Option<&Path>) -> Result<String> 
     let _ = writeln!(toml, "site = {}\n\n[camera]", text(&drawing.site));
     let _ = writeln!(toml, "id = {}", text(&drawing.camera_id));
     if drawing.source.trim().is_empty() {
-        toml.push_str("# The folder of pictures at the desk. On the box: the camera's address.\n");
+        let _ = writeln!(toml, "{FOLDER}");
     }
     let _ = writeln!(toml, "source = {source}\ninterval_s = {interval_s:?}");
     if let Some(model) = model {
         toml.push_str("\n# The model at the desk. On the box: without this section, its own.\n");
         let _ = writeln!(toml, "[model]\nfile = {}", path(&absolute(model)));
     }
-    let _ = writeln!(toml, "\n[lane_table]\nfile = \"lanes.lut\"");
+    let _ = writeln!(toml, "\n[lane_table]\nfile = \"{LANES}\"");
     let _ = writeln!(toml, "\n[windows]\nlengths_s = {:?}", windows_of(interval_s)?);
     Ok(toml)
 }

@@ -353,6 +353,51 @@ fn a_draft_on_other_pictures_is_kept_and_said() {
     assert_eq!(kept("draft-1.json").unwrap(), draft, "as it was");
     assert_ne!(kept("draft.json").unwrap(), draft, "the new one");
     assert_eq!(site_json(&other)["drawing"]["camera_id"], "two");
+    // Once it is said, and the drawing dropped, it is said no more.
+    assert!(site_json(&other)["aside"].is_string());
+    assert_eq!(other.post("api/draft/drop", &json!({})).0, 200);
+    assert!(site_json(&other)["aside"].is_null());
+}
+
+#[test]
+fn a_draft_goes_on_where_pictures_were_added() {
+    let frames = tempfile::tempdir().unwrap();
+    let add = |names: std::ops::Range<usize>| {
+        let mut all: Vec<_> = std::fs::read_dir(street().join("frames"))
+            .unwrap()
+            .map(|e| e.unwrap().path())
+            .collect();
+        all.sort();
+        for path in &all[names] {
+            std::fs::copy(path, frames.path().join(path.file_name().unwrap())).unwrap();
+        }
+    };
+    add(0..5);
+    let desk = Desk::open(frames.path());
+    let mut drawing = desk.true_drawing();
+    desk.look(&drawing);
+    drawing["camera_id"] = json!("another");
+    desk.look(&drawing);
+    let site = tempfile::tempdir().unwrap();
+    copy(&desk.site.path().join("site"), &site.path().join("site"));
+    add(5..20);
+    let again = Desk::again(frames.path(), site);
+    let (_, _, body) = again.get("api/site");
+    let answer: Value = serde_json::from_slice(&body).unwrap();
+    assert!(answer["aside"].is_null(), "{}", answer["aside"]);
+    assert_ne!(answer["backdrop"], drawing["backdrop"], "it is another picture");
+    drawing["backdrop"] = answer["backdrop"].clone();
+    assert_eq!(answer["drawing"], drawing);
+    // Those that are added while it runs, too.
+    drawing["camera_id"] = json!("a third");
+    again.look(&drawing);
+    add(20..40);
+    assert_eq!(again.post("api/collect/use", &json!({})).0, 200);
+    let carried = again.drawing();
+    assert_eq!(carried["camera_id"], "a third");
+    assert_eq!(again.post("api/save/0", &carried).0, 200);
+    let left = |name: &str| again.site.path().join("site").join(name).exists();
+    assert_eq!((left("draft.json"), left("draft.png")), (false, false));
 }
 
 #[test]

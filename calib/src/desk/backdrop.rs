@@ -17,6 +17,8 @@ use verge::scene::{Pose, Reference, Sighting, search};
 
 /// Most frames in the median: of 25, a vehicle must hide a place in 13 to stay.
 pub const MOST_FRAMES: usize = 25;
+/// Displacement from which a camera has moved, px of a picture 320 px wide.
+const MOVED_OF_320_PX: f64 = 0.5;
 
 /// The picture that is drawn on.
 #[derive(Debug)]
@@ -67,6 +69,11 @@ impl Shift {
             displacement_px: f64::from(pose.displacement(grid.width, grid.height)) * px,
             sure: seen.is_sure(),
         }
+    }
+
+    /// Whether it is too small to matter: the camera has not moved.
+    pub fn is_none(&self, image_size: [u32; 2]) -> bool {
+        self.displacement_px < MOVED_OF_320_PX * f64::from(image_size[0]) / 320.0
     }
 
     /// Where a point of the other picture lies in the frame, px.

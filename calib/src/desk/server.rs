@@ -204,22 +204,22 @@ impl Desk {
         let saved = save(&drawing, &self.site, &prepared.backdrop, &self.traffic, model)?;
         draft::drop(&self.site);
         let version = latest.version + 1;
-        let (copy, aside) = (drawing.clone(), latest.aside.take());
-        *latest = Latest { drawing: Some(copy), saved: Some(drawing), aside, version };
+        let copy = drawing.clone();
+        *latest = Latest { drawing: Some(copy), saved: Some(drawing), aside: None, version };
         Ok(json!({ "folder": saved.folder, "files": saved.files, "version": version }))
     }
 
     /// Keeps what goes on from the latest save; a window that another has overtaken keeps its own.
     fn keep(&self, drawing: &Drawing, version: &str) {
-        let may_be_written = self.prepared().is_ok_and(|p| p.opened.is_ok());
+        let Ok(prepared) = self.prepared() else { return };
         let mut latest = self.latest();
         let is_old = version != latest.version.to_string();
-        if is_old || !may_be_written || latest.drawing.as_ref() == Some(drawing) {
+        if is_old || prepared.opened.is_err() || latest.drawing.as_ref() == Some(drawing) {
             return;
         }
         // The first one is what the page was loaded with.
         if latest.drawing.is_some() {
-            draft::keep(&self.site, drawing);
+            draft::keep(&self.site, drawing, &prepared.backdrop);
         }
         latest.drawing = Some(drawing.clone());
     }
@@ -228,6 +228,7 @@ impl Desk {
     fn drop_draft(&self) {
         let mut latest = self.latest();
         latest.drawing = latest.saved.clone();
+        latest.aside = None;
         // What the page still sends is of the drawing that was dropped.
         latest.version += 1;
         draft::drop(&self.site);
@@ -240,13 +241,15 @@ impl Desk {
         if prepared.opened.is_err() {
             return;
         }
-        match draft::find(&self.site, &prepared.backdrop.sha256) {
-            Draft::Here(drawing) if latest.drawing.is_none() => latest.drawing = Some(*drawing),
+        let is_here = |drawing: &Drawing| drawing.backdrop == prepared.backdrop.sha256;
+        match draft::find(&self.site, &prepared.backdrop) {
+            Draft::Here(_) if latest.drawing.as_ref().is_some_and(is_here) => {}
+            Draft::Here(drawing) => latest.drawing = Some(*drawing),
             Draft::Aside(said) => {
-                latest.drawing.take_if(|d| d.backdrop != prepared.backdrop.sha256);
+                latest.drawing.take_if(|drawing| !is_here(drawing));
                 latest.aside = Some(said);
             }
-            Draft::Here(_) | Draft::None => {}
+            Draft::None => {}
         }
     }
 

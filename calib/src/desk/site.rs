@@ -17,8 +17,6 @@ use std::path::{Path, PathBuf};
 pub const SITE: &str = "site.json";
 /// The picture that it was drawn on.
 pub const POSE: &str = "pose.png";
-/// Displacement from which a camera has moved, px of a picture 320 px wide.
-const MOVED_OF_320_PX: f64 = 0.5;
 
 /// A site at the desk.
 #[derive(Clone, Debug)]
@@ -123,8 +121,7 @@ impl Site {
                 self.folder.display()
             )));
         }
-        let limit = MOVED_OF_320_PX * f64::from(backdrop.image_size[0]) / 320.0;
-        if shift.displacement_px < limit {
+        if shift.is_none(backdrop.image_size) {
             drawing.backdrop.clone_from(&backdrop.sha256);
             return Ok(Some(Opened { drawing, moved: None }));
         }

@@ -560,7 +560,7 @@ def main():
         dashes_are_found(desk, shot)
         a_wrong_length_is_named(desk, truth, shot)
         wrong_lanes_are_red(desk, truth, shot)
-        now = {f.name: f.read_bytes() for f in site.iterdir() if f.name != "draft.json"}
+        now = {f.name: f.read_bytes() for f in site.iterdir() if f.stem != "draft"}
         assert saved == now, "a refusal wrote a file"
         desk.close()
         print(f"from a folder of frames to a saved table: {actions} actions")

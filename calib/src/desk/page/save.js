@@ -27,6 +27,7 @@ async function run(desk) {
       kept.saved = saved;
       desk.version = saved.version;
       desk.site.draft = false;
+      desk.site.aside = null;
       store.saved(sent);
     } catch (error) {
       kept.saved = null;

@@ -585,6 +585,9 @@ fn a_password_in_the_query_of_an_address_is_a_login() {
         "http://cam/cgi?PassWord=s3cret",
         "rtsp://cam/s?x=1&passwd=s3cret",
         "http://cam/s;pass=s3cret?x=1",
+        "http://cam/cgi?cmd=Snap&pass%77ord=s3cret",
+        "http://cam/a.jpg#pwd=s3cret",
+        "rtsp://cam/user=admin_password=s3cret_channel=1_stream=0.sdp",
     ] {
         drawing["source"] = json!(source);
         let said = desk.refused(&drawing);

@@ -1,7 +1,7 @@
 //! The address of a camera, as people type it.
 //!
 //! Owns what an address means (RFC 3986, as far as browsers and curl agree on it) and how it
-//! is shown: without login and query, for either may hold a password. Asks nobody.
+//! is shown: without login, query and passwords in the path. Asks nobody.
 
 use super::foreign::shown;
 use std::fmt;
@@ -202,7 +202,8 @@ impl fmt::Display for Address {
             Some((_, zone)) => there.replace(']', &format!("%{zone}]")),
             None => there,
         };
-        write!(f, "{}{there}{}{query}", self.scheme(), shown(path))
+        let path = verge_desk::without_secrets(path);
+        write!(f, "{}{there}{}{query}", self.scheme(), shown(&path))
     }
 }
 

@@ -82,3 +82,18 @@ fn redirects_keep_the_login_at_home() {
     let there = secure.redirected("http://camera:443/").expect("right");
     assert!(!secure.shares_login_with(&there));
 }
+
+#[test]
+fn a_password_in_a_path_is_not_shown() {
+    for (text, expected) in [
+        ("http://camera/s;pass=s3cret/x?a=b", "http://camera/s;pass=...?..."),
+        (
+            "rtsp://cam/user=admin_password=s3cret_stream=0.sdp",
+            "rtsp://cam/user=admin_password=...",
+        ),
+    ] {
+        let address = Address::parse(text).expect("right");
+        assert_eq!(address.to_string(), expected);
+        assert!(address.uri().contains("s3cret"), "the camera gets it");
+    }
+}

@@ -19,25 +19,6 @@ const LOGIN: &str = "it holds a user or a password, and would be written where o
 const IN_QUERY: &str = "it holds a user or a password behind its path, and would be written where others may \
     read it: leave them out here, and try camera.user and camera.password_file of verge.toml; where the \
     camera takes them in the address alone, write that into verge.toml by hand, which saving keeps";
-/// Names that cameras have for a password in the query.
-const SECRETS: [&str; 15] = [
-    "pwd",
-    "password",
-    "passwd",
-    "pass",
-    "pw",
-    "psw",
-    "passcode",
-    "passphrase",
-    "loginpas",
-    "userpwd",
-    "auth",
-    "token",
-    "apikey",
-    "api_key",
-    "secret",
-];
-
 /// A camera that can be asked at once; its address may hold a login.
 ///
 /// # Errors
@@ -81,6 +62,7 @@ fn address(text: &str) -> Result<Option<&'static str>, String> {
     if !SCHEMES.iter().any(|known| scheme.eq_ignore_ascii_case(known)) {
         return Err(format!("its scheme is not known: {BEGINS}"));
     }
+    let whole = rest;
     let (rest, fragment) = rest.split_once('#').unwrap_or((rest, ""));
     let end = rest.find(['/', '?']).unwrap_or(rest.len());
     let (login, place) = match rest[..end].rsplit_once('@') {
@@ -92,11 +74,7 @@ fn address(text: &str) -> Result<Option<&'static str>, String> {
         return Ok(Some(LOGIN));
     }
     host(place)?;
-    let is_secret = |part: &str| {
-        let name = part.split_once('=').map_or("", |(name, _)| name).trim();
-        SECRETS.iter().any(|secret| name.eq_ignore_ascii_case(secret))
-    };
-    let in_query = || rest[end..].split(['?', '&', ';', '/']).any(is_secret);
+    let in_query = || verge_desk::holds_secret(&whole[end..]);
     Ok(if login { Some(LOGIN) } else { in_query().then_some(IN_QUERY) })
 }
 

@@ -425,3 +425,24 @@ fn what_a_method_does_not_take_is_refused() {
         assert!(out.status.code() == Some(73), "{}", stderr(&out));
     }
 }
+
+#[test]
+fn a_reader_that_has_gone_away_is_no_panic() {
+    let folder = Folder::new("unread");
+    let street = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/freeway");
+    let (calibration, lanes) = (street.join("calibration.json"), street.join("lanes.json"));
+    let (table, marks) = (folder.join("a.lut"), folder.join("marks.json"));
+    let mark = r#"{"marks":[{"points":[[300,400],[310,420]],"segment_length_m":6}]}"#;
+    std::fs::write(&marks, mark).unwrap();
+    let camera = ["--calibration", text(&calibration)];
+    for arguments in [
+        ["verify", camera[0], camera[1], "--marks", text(&marks)].as_slice(),
+        &["table", camera[0], camera[1], "--lanes", text(&lanes), "--out", text(&table)],
+    ] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mvcalib"));
+        command.args(arguments).stdout(writer.try_clone().unwrap()).stderr(writer);
+        assert_eq!(command.status().unwrap().code(), Some(0), "{arguments:?}");
+    }
+}

@@ -20,7 +20,7 @@ use mvcalib::road::fit::{Cues, fit};
 use mvcalib::road::marks::Marks;
 use mvcalib::trust::Trust;
 use std::path::{Path, PathBuf};
-use verge_desk::write_whole_beside;
+use verge_desk::{say, write_whole_beside};
 
 /// Arguments of `calibrate`.
 #[derive(Debug, clap::Args)]
@@ -115,11 +115,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let inputs = [vehicles, lane_lines, lengths, detections, picture, frame_shifts];
     let inputs = inputs.map(Option::as_deref);
     write_whole_beside(&arguments.out, calibration.to_json().as_bytes(), &inputs)?;
-    eprintln!("{}", summary(&calibration, &arguments.out));
+    say(&summary(&calibration, &arguments.out));
     let unaided = arguments.lane_lines.is_none() && arguments.lengths.is_none();
     if arguments.method == Method::Joint && unaided {
-        eprintln!(
-            "two traced lane lines (--lane-lines) or a known length (--lengths) would make it surer"
+        say(
+            "two traced lane lines (--lane-lines) or a known length (--lengths) would make it surer",
         );
     }
     Ok(())
@@ -158,7 +158,7 @@ impl Arguments {
         bar.finish_and_clear();
         for vehicle in &calibration.vehicles {
             if let Some(px) = vehicle.rms_px {
-                eprintln!("{}: its key points miss their fit by {px:.2} px", vehicle.name);
+                say(&format!("{}: its key points miss their fit by {px:.2} px", vehicle.name));
             }
         }
         Ok(calibration)
@@ -175,14 +175,14 @@ impl Arguments {
         let cues = self.road(size)?;
         let found = fit(&cues, size)?;
         if !cues.boxes.is_empty() && found.traffic.is_none() {
-            eprintln!(
+            say(&format!(
                 "traffic: none of {} boxes is used: none is whole, large enough and inside a lane",
                 cues.boxes.len()
-            );
+            ));
         }
         let mut calibration = found.calibration();
         calibration.wall_time_s = start.elapsed().as_secs_f64();
-        eprint!("{}", residuals::text(&found));
+        say(residuals::text(&found).trim_end());
         Ok(calibration)
     }
 

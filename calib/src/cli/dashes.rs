@@ -10,6 +10,7 @@ use mvcalib::road::scene_reference::picture;
 use mvcalib::road::standards;
 use nalgebra::Vector2;
 use std::path::Path;
+use verge_desk::say;
 
 /// From the start of a dash to the start of the next, m, as a standard or a person states it.
 struct Pitch {
@@ -79,7 +80,7 @@ pub fn add(cues: &mut Cues, path: &Path, pitch: &str, size: [u32; 2]) -> Result<
             return Err(Error::Marks(format!("--dashes: {}", said.join("; "))));
         }
         if is_last {
-            said.iter().for_each(|line| eprintln!("{line}"));
+            said.iter().for_each(|line| say(line));
         }
     }
     *cues = with;

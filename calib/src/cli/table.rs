@@ -15,7 +15,7 @@ use mvcalib::road::scene_reference::{picture, pictures, reference};
 use std::path::PathBuf;
 use verge::lane::{DEFAULT_CELL_LENGTH_M, MAX_CELL_LENGTH_M, MIN_CELL_LENGTH_M};
 use verge::scene::Reference;
-use verge_desk::write_whole_beside;
+use verge_desk::{say, write_whole_beside};
 
 /// Arguments of `table`.
 #[derive(Debug, clap::Args)]
@@ -106,7 +106,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let judged = judge_lanes(&lanes, &calibration.camera(), known.as_ref(), arguments.cell_length);
     for lane in &judged {
         let problem = lane.problem.as_ref().map_or(String::new(), |p| format!("\n  REFUSED: {p}"));
-        eprintln!("{}{problem}", lane.geometry);
+        say(&format!("{}{problem}", lane.geometry));
     }
     if !arguments.force {
         require(&judged)?;
@@ -128,8 +128,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         write_whole_beside(path, &png, &[&inputs[..], &[made]].concat())?;
     }
     match &scene {
-        Some(scene) => eprintln!("scene: {} edge points", scene.fine.len()),
-        None => eprintln!("scene: no --reference, so a moved camera will not be noticed"),
+        Some(scene) => say(&format!("scene: {} edge points", scene.fine.len())),
+        None => say("scene: no --reference, so a moved camera will not be noticed"),
     }
     Ok(())
 }

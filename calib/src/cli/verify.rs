@@ -7,6 +7,7 @@ use mvcalib::files::stated::StatedErrors;
 use mvcalib::road::marks::{Accuracy, Marks};
 use mvcalib::trust::MAX_ACROSS_REL_ERR;
 use std::path::PathBuf;
+use verge_desk::say;
 
 /// Arguments of `verify`.
 #[derive(Debug, clap::Args)]
@@ -52,7 +53,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let json = serde_json::to_string(&Verified { accuracy, stated_across: across })
         .expect("finite numbers are always JSON");
     if !arguments.json {
-        eprint!("{}", table(&calibration, &marks)?);
+        say(table(&calibration, &marks)?.trim_end());
     }
     print(&json);
     Ok(())

@@ -43,13 +43,13 @@ pub fn run() -> Result<(), Failure> {
     let port = loopback::start_broker().map_err(|e| Failure::Internal(e.to_string()))?;
     let subscriber = Subscriber::connect(port, &format!("{ROOT}/#"))
         .map_err(|e| Failure::Internal(e.to_string()))?;
-    println!(
+    tell(&format!(
         "{} frames of {} -> {} -> {} -> mqtt://127.0.0.1:{port}/{ROOT}",
         recorded.frames(),
         recording.frames,
         DEFAULT_MODEL,
         recording.table,
-    );
+    ));
     let printer = thread::spawn(move || print_until_shutdown(subscriber));
     let frames = recorded.frames();
     let broker = MqttSettings::local(port, ROOT);
@@ -68,13 +68,13 @@ pub fn run() -> Result<(), Failure> {
     if lanes == 0 {
         return Err(Failure::Internal("no density arrived at the subscriber".into()));
     }
-    println!("{frames} frames in {:.1} s", started.elapsed().as_secs_f64());
+    tell(&format!("{frames} frames in {:.1} s", started.elapsed().as_secs_f64()));
     Ok(())
 }
 
 /// Prints what arrives, until the sensor says that it shuts down; returns how many lanes.
 fn print_until_shutdown(mut subscriber: Subscriber) -> usize {
-    println!("from (UTC)            window  lane  veh/km/lane      se  frames  status");
+    tell("from (UTC)            window  lane  veh/km/lane      se  frames  status");
     let mut lanes = 0;
     while let Some((topic, payload)) = subscriber.next(PATIENCE) {
         let topic = topic.strip_prefix(ROOT).unwrap_or(&topic);
@@ -91,13 +91,13 @@ fn print_until_shutdown(mut subscriber: Subscriber) -> usize {
 /// Prints the lanes of one message; returns how many.
 fn print_density(window: &str, payload: &[u8]) -> usize {
     let Ok(message) = serde_json::from_slice::<Value>(payload) else {
-        println!("{window}: a message that is no JSON");
+        tell(&format!("{window}: a message that is no JSON"));
         return 0;
     };
     let number = |value: &Value| value.as_f64().map_or("-".into(), |n| format!("{n:.1}"));
     let lanes = message["lanes"].as_array().map(Vec::as_slice).unwrap_or_default();
     for lane in lanes {
-        println!(
+        tell(&format!(
             "{:<20} {window:>7} {:>5} {:>12} {:>7} {:>7}  {}",
             message["from"].as_str().map_or("", |from| &from[..19.min(from.len())]),
             lane["lane"].to_string(),
@@ -105,7 +105,12 @@ fn print_density(window: &str, payload: &[u8]) -> usize {
             number(&lane["density_se"]),
             format!("{}/{}", lane["frames_used"], lane["frames_expected"]),
             lane["status"].as_str().unwrap_or("-"),
-        );
+        ));
     }
     lanes.len()
+}
+
+/// Prints a line. A reader that has gone away is no fault.
+fn tell(text: &str) {
+    let _ = verge_desk::print(&format!("{text}\n"));
 }

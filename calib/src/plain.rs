@@ -33,9 +33,18 @@ const TYPES: [(&str, &str); 22] = [
 
 /// Words for an error of JSON, with line and column.
 pub fn words(error: &Error) -> String {
+    words_of(error, error.line())
+}
+
+/// The same of JSON that is this line of a file.
+pub fn words_in_line(line: usize, error: &Error) -> String {
+    words_of(error, line)
+}
+
+fn words_of(error: &Error, line: usize) -> String {
     let said = error.to_string();
     let said = said.split(" at line ").next().unwrap_or_default();
-    let place = match (error.line(), error.column()) {
+    let place = match (line, error.column()) {
         (0, _) => String::new(),
         (line, column) => format!("line {line}, column {column}: "),
     };
@@ -49,9 +58,7 @@ pub fn words(error: &Error) -> String {
             "something follows behind its end".to_owned()
         }
         Category::Syntax | Category::Io => {
-            "here it is no JSON: look for a comma, a quote or a bracket \
-                                            that is missing or too many"
-                .to_owned()
+            "not valid JSON here: check for a missing or extra comma, quote or bracket".to_owned()
         }
     };
     format!("{place}{text}")
@@ -147,7 +154,10 @@ mod tests {
             ("{\"points\":[[1e999,2]]}", "a number is too large"),
             ("{\"points\":[[1,2", "ends too early"),
             ("{\"points\":[]} x", "something follows"),
-            ("{points:[]}", "line 1, column 2: here it is no JSON"),
+            (
+                "{points:[]}",
+                "line 1, column 2: not valid JSON here: check for a missing or extra comma",
+            ),
         ] {
             let said = words(&serde_json::from_str::<File>(json).unwrap_err());
             assert!(said.contains(expected), "{json}: {said}");

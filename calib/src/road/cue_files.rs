@@ -126,7 +126,7 @@ pub fn boxes(path: &Path, size: [u32; 2]) -> Result<Vec<BoxCue>> {
     for (frame, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         let parsed: Frame = serde_json::from_str(line).map_err(|e| Error::Json {
             path: path.to_owned(),
-            detail: format!("line {}: {}", frame + 1, plain::words(&e)),
+            detail: plain::words_in_line(frame + 1, &e),
         })?;
         for (x0, y0, x1, y1, score, class) in parsed.boxes {
             let corners = [x0, y0, x1, y1];
@@ -181,5 +181,15 @@ mod tests {
                 assert!(polygon.iter().any(|q| (q - p).norm() < 1e-6), "{p}");
             }
         }
+    }
+
+    #[test]
+    fn a_damaged_line_is_named_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("boxes.jsonl");
+        std::fs::write(&path, "{\"boxes\":[]}\n{\"boxes\":[,]}\n").unwrap();
+        let said = boxes(&path, [320, 240]).unwrap_err().to_string();
+        assert!(said.contains("line 2, column 11: not valid JSON"), "{said}");
+        assert_eq!(said.matches("line ").count(), 1, "{said}");
     }
 }

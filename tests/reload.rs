@@ -108,7 +108,7 @@ fn windows_that_only_the_memory_holds_are_said_in_the_state() {
     let spool = folder.path().join("spool");
     std::fs::write(&spool, "in the way").expect("written");
     write_config(&folder.path().join("verge.toml"), "");
-    let (_daemon, manager) = start(folder.path());
+    let (daemon, manager) = start(folder.path());
     let words =
         heard(&manager, |word| word.starts_with("STATUS=") && word.contains("memory alone"));
     let said = words.last().expect("heard");
@@ -121,6 +121,11 @@ fn windows_that_only_the_memory_holds_are_said_in_the_state() {
     std::fs::write(&spool, "in the way").expect("written");
     let words = heard(&manager, |word| word.contains("memory alone"));
     assert!(words.iter().any(|word| word.contains("a file is in its way")), "{words:?}");
+    // Beside it a refused configuration is said all the same.
+    write_config(&folder.path().join("verge.toml"), "min_completeness = 3");
+    hang_up(&daemon);
+    let words = heard(&manager, |word| word.contains("; reload refused: "));
+    assert!(words.last().is_some_and(|word| word.contains("memory alone")), "{words:?}");
 }
 
 #[test]

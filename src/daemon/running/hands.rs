@@ -163,14 +163,13 @@ impl Hands {
         self.refused = reason.map(|failure| format!("reload refused: {failure}"));
     }
 
-    /// The present fault: of the pictures first, then of the disk, then of the pictures' number, else of
-    /// a new configuration.
-    pub fn fault(&self) -> Option<&str> {
+    /// The present fault: of the pictures first, then of the disk, then of the pictures' number; and
+    /// beside it that of a new configuration, for which somebody waits.
+    pub fn fault(&self) -> Option<String> {
         let pictures = self.last_fault.as_ref().map(|(_, text)| text.as_str());
-        pictures
-            .or_else(|| self.outlet.fault())
-            .or(self.slow.as_deref())
-            .or(self.refused.as_deref())
+        let present = pictures.or_else(|| self.outlet.fault()).or(self.slow.as_deref());
+        let all: Vec<&str> = present.into_iter().chain(self.refused.as_deref()).collect();
+        (!all.is_empty()).then(|| all.join("; "))
     }
 
     /// Days until the first certificate in use ends.

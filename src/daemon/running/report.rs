@@ -81,7 +81,7 @@ impl Running {
             stage_faults: self.sensor.stage_faults(),
             certificate_days: self.hands.certificate_days(),
             node_windows_lost: outlet.lost_to_node(),
-            last_fault: self.hands.fault().map(str::to_owned),
+            last_fault: self.hands.fault(),
         };
         outlet.publisher().health(&health);
         let alarms: Vec<_> = self.sensor.alarms().chain(self.hands.certificate_alarm()).collect();

@@ -193,8 +193,8 @@ fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
     file("20260105T080030Z.jpg", b"<html>no picture</html>");
     file("20260105T080040Z.jpg", &jpeg(64, 64, 90));
     file("20260105T080050Z.jpg", &jpeg(320, 240, 120));
-    // A second picture of an instant that has one.
-    file("20260105T080050Z_copy.jpg", &jpeg(320, 240, 60));
+    // A copy of one that is there.
+    file("20260105T080050Z_copy.jpg", &jpeg(320, 240, 120));
     // Nobody will ever write into it.
     let fifo = folder.path().join("20260105T080025Z.jpg");
     assert!(Command::new("mkfifo").arg(&fifo).status().expect("coreutils").success());
@@ -221,8 +221,8 @@ fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
     ] {
         assert!(said.contains(expected), "{expected}: {said}");
     }
-    let twice =
-        "1 of 8 files are left out, for others have the same time: 20260105T080050Z_copy.jpg";
+    let twice = "1 of 8 files is left out because another file has the same time and picture: \
+                 20260105T080050Z_copy.jpg";
     assert!(said.contains(twice), "{said}");
     let window: Value = serde_json::from_slice(&output.stdout).expect("one window");
     let lane = &window["lanes"][0];

@@ -5,14 +5,14 @@
 use crate::units::UtcMs;
 use std::time::Duration;
 
-/// Names tell whole seconds: two frames of one second are of one instant where frames are at least this
-/// far apart. A stream's may be several in each second.
+/// Names tell whole seconds: two frames of one second may be of one instant where frames are at least
+/// this far apart. A stream's are several in each second.
 const APART: Duration = Duration::from_secs(2);
 
-/// Whether frames that both have this time are of one instant, in a recording with this time between
-/// two: whole seconds may be all that their names tell.
-pub(super) fn is_one_instant(time: UtcMs, step: Duration) -> bool {
-    time.0 % 1000 != 0 || step >= APART
+/// Whether frames with one time may be of one instant, in a recording with this time between two:
+/// whole seconds may be all that their names tell.
+pub(super) fn may_be_one_instant(tells_fraction: bool, step: Duration) -> bool {
+    tells_fraction || step >= APART
 }
 
 /// The median time from one frame to the next.

@@ -4,11 +4,12 @@
 //! recording changes no other file's time: where names tell the times, one whose name does not
 //! is left out, and logged.
 
-use super::order::{is_one_instant, keep_rising, median_step, spread};
+use super::order::{keep_rising, may_be_one_instant, median_step, spread};
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
 use crate::daemon::{clock, dates::Dates, disk, foreign::shown, frame::Frame, plain};
 use crate::units::UtcMs;
+use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::ErrorKind;
@@ -147,7 +148,7 @@ impl Recorded {
             .collect();
         files.sort_by_key(|(_, _, time)| *time);
         let interval = match time_source {
-            TimeSource::Names => one_of_each(&mut files).unwrap_or(interval),
+            TimeSource::Names => without_copies(&mut files).unwrap_or(interval),
             _ => interval,
         };
         spread(files.iter_mut().map(|(_, _, time)| time).collect());
@@ -342,28 +343,52 @@ fn times(
     Ok((source, times.collect(), step))
 }
 
-/// Of several frames of one instant the first stays: a copy, or another camera's, would count again.
-/// Returns the time between two frames where some are left out.
-fn one_of_each(files: &mut Vec<(PathBuf, String, UtcMs)>) -> Option<Duration> {
+/// A copy would count again: of files of one instant that hold the same, the first stays. Others of one
+/// second are several frames, whose names tell no more. Returns the time between two frames where some
+/// are left out.
+fn without_copies(files: &mut Vec<(PathBuf, String, UtcMs)>) -> Option<Duration> {
+    let step = |times: Vec<UtcMs>| median_step(&times.into_iter().map(Some).collect::<Vec<_>>());
     let count = files.len();
-    let mut times: Vec<_> = files.iter().map(|(_, _, time)| *time).collect();
-    times.dedup();
-    let times: Vec<_> = times.into_iter().map(Some).collect();
-    let step = median_step(&times)?;
-    let mut first_out = None;
-    files.dedup_by(|(_, name, time), (_, _, before)| {
-        let is_out = time == before && is_one_instant(*time, step);
-        if is_out {
-            first_out.get_or_insert_with(|| shown(name));
+    let mut instants: Vec<_> = files.iter().map(|(_, _, time)| *time).collect();
+    instants.dedup();
+    let apart = step(instants)?;
+    let mut copies = BTreeSet::new();
+    for same in files.chunk_by(|a, b| a.2 == b.2).filter(|same| same.len() > 1) {
+        let lengths: Vec<_> = same.iter().map(|(path, ..)| length(path)).collect();
+        let mut known = BTreeSet::new();
+        for ((path, name, _), len) in same.iter().zip(&lengths) {
+            let may_be = may_be_one_instant(timestamp::tells_fraction(name), apart)
+                && len.is_some()
+                && lengths.iter().filter(|other| *other == len).count() > 1;
+            if may_be && digest(path).is_some_and(|digest| !known.insert(digest)) {
+                copies.insert(name.clone());
+            }
         }
-        is_out
-    });
-    log::warn!(
-        "{} of {count} files are left out, for others have the same time: {} and so on",
-        count - files.len(),
-        first_out?
-    );
-    Some(step)
+    }
+    let first = shown(copies.first()?);
+    match copies.len() {
+        1 => log::warn!(
+            "1 of {count} files is left out because another file has the same time and picture: {first}"
+        ),
+        many => log::warn!(
+            "{many} of {count} files are left out because other files have the same time and picture: \
+             {first} and so on"
+        ),
+    }
+    files.retain(|(_, name, _)| !copies.contains(name));
+    step(files.iter().map(|(_, _, time)| *time).collect())
+}
+
+/// Length of a plain file.
+fn length(path: &Path) -> Option<u64> {
+    fs::metadata(path).ok().filter(fs::Metadata::is_file).map(|metadata| metadata.len())
+}
+
+/// What stands in a file, in short.
+fn digest(path: &Path) -> Option<[u8; 32]> {
+    let mut bytes = Vec::new();
+    plain::read_into(path, MAX_PICTURE_BYTES as u64, &mut bytes).ok()?;
+    Some(Sha256::digest(&bytes).into())
 }
 
 fn written_at(path: &Path) -> Option<UtcMs> {

@@ -1,12 +1,17 @@
 use super::*;
 
-/// A recording of empty files with these names.
+/// A recording of files with these names, no two of which are alike.
 fn recording(names: &[&str]) -> (tempfile::TempDir, Recorded) {
+    recording_of(&names.iter().map(|name| (*name, *name)).collect::<Vec<_>>())
+}
+
+/// The same with what stands in each.
+fn recording_of(files: &[(&str, &str)]) -> (tempfile::TempDir, Recorded) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    for name in names {
+    for (name, content) in files {
         let path = folder.path().join(name);
         fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
-        fs::write(path, b"").expect("a file");
+        fs::write(path, content).expect("a file");
     }
     let recorded = Recorded::open(folder.path(), None).expect("a recording");
     (folder, recorded)
@@ -76,28 +81,56 @@ fn frames_of_one_second_share_it() {
 }
 
 #[test]
-fn of_frames_of_one_instant_the_first_counts() {
+fn a_copy_of_a_frame_does_not_count_again() {
     // Several of one second are a stream's where others come as fast; here one comes each 10 s.
-    let (_folder, recorded) = recording(&[
-        "20260105T080000Z.jpg",
-        "20260105T080000Z_copy.jpg",
-        "20260105T080010Z.jpg",
-        "20260105T080020Z.jpg",
-        "b/20260105T080020Z.jpg",
-        "20260105T080020Z_2.jpg",
+    let (_folder, recorded) = recording_of(&[
+        ("20260105T080000Z.jpg", "a"),
+        ("20260105T080000Z_copy.jpg", "a"),
+        ("20260105T080010Z.jpg", "b"),
+        ("20260105T080020Z.jpg", "c"),
+        ("9b/20260105T080020Z.jpg", "d"),
+        ("9c/20260105T080020Z.jpg", "c"),
     ]);
-    let times: Vec<_> = seconds(&recorded).into_iter().map(|(_, time)| time).collect();
-    assert_eq!(times, [0.0, 10.0, 20.0]);
-    // A name that tells fractions of a second tells the instant.
-    let (_folder, recorded) = recording(&[
-        "20260105T080000.250Z.jpg",
-        "20260105T080000.250Z_copy.jpg",
-        "20260105T080000.750Z.jpg",
-        "20260105T080001.250Z.jpg",
+    let names: Vec<_> = seconds(&recorded).into_iter().map(|(name, _)| name).collect();
+    let plain = ["20260105T080000Z.jpg", "20260105T080010Z.jpg", "20260105T080020Z.jpg"];
+    assert_eq!(names, [&plain[..], &["9b/20260105T080020Z.jpg"]].concat());
+    // A name that tells fractions of a second tells the instant, whole seconds too.
+    let (_folder, recorded) = recording_of(&[
+        ("20260105T080000.000Z.jpg", "a"),
+        ("20260105T080000.000Z_copy.jpg", "a"),
+        ("20260105T080000.500Z.jpg", "b"),
+        ("20260105T080000.500Z_copy.jpg", "b"),
+        ("20260105T080001.000Z.jpg", "c"),
+        ("20260105T080001.000Z_copy.jpg", "c"),
     ]);
     let times: Vec<_> = seconds(&recorded).into_iter().map(|(_, time)| time).collect();
     assert_eq!(times, [0.0, 0.5, 1.0]);
     assert_eq!(recorded.interval(), Duration::from_millis(500));
+}
+
+#[test]
+fn clips_with_a_counter_behind_their_second_lose_no_frame() {
+    let names: Vec<String> = ["080000", "081500"]
+        .iter()
+        .flat_map(|clip| (1..=4).map(move |n| format!("20260105_{clip}_{n:04}.jpg")))
+        .collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let (_folder, recorded) = recording(&names);
+    assert_eq!(recorded.frames(), 8);
+}
+
+#[test]
+fn what_is_logged_changes_nothing() {
+    let names: Vec<String> = (0..6).map(|n| format!("20260105T08000{}Z_{n}.jpg", n / 2)).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let before = log::max_level();
+    let interval = |level| {
+        log::set_max_level(level);
+        recording(&names).1.interval()
+    };
+    let (quiet, loud) = (interval(log::LevelFilter::Off), interval(log::LevelFilter::Trace));
+    log::set_max_level(before);
+    assert_eq!((quiet, quiet), (loud, Duration::from_millis(400)));
 }
 
 #[test]

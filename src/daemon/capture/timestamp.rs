@@ -18,24 +18,40 @@ const MAX_OFFSET_S: i32 = 18 * 3600;
 /// The time in `path`, where its date can be read in one way alone, or where it is read in the order
 /// of `dates`. Otherwise as [`from_path`].
 pub fn from_path_in(path: &str, local_s: i32, dates: Dates) -> Option<UtcMs> {
-    let name = path.rsplit('/').next().unwrap_or(path);
-    let ordered = |bytes: &[u8]| stamp(bytes, |rest| short_date(rest, dates));
-    from_path(path, local_s).or_else(|| {
-        let stamp = find(name, ordered).or_else(|| by_day(path, |rest| short_date(rest, dates)))?;
-        stamp.time(local_s)
-    })
+    from_path(path, local_s).or_else(|| in_order(path, dates)?.time(local_s))
 }
 
 /// The time in `path`, relative and with `/` between folders. `local` is the offset from UTC of
 /// names that state none, s.
 pub fn from_path(path: &str, local_s: i32) -> Option<UtcMs> {
-    let name = path.rsplit('/').next().unwrap_or(path);
-    let whole = |bytes: &[u8]| stamp(bytes, date);
-    let stamp = find(name, whole).or_else(|| find(path, whole)).or_else(|| by_day(path, date));
-    match stamp {
+    match whole(path) {
         Some(stamp) => stamp.time(local_s),
-        None => find(name, since_1970),
+        None => find(name_in(path), since_1970).map(|(time, _)| time),
     }
+}
+
+/// Whether the time in `path` is told to a fraction of a second, be it none (`.000`).
+pub fn tells_fraction(path: &str) -> bool {
+    let plain = || find(name_in(path), since_1970).map(|(_, fraction)| fraction);
+    let ordered = || Dates::ALL.into_iter().find_map(|dates| in_order(path, dates));
+    let told = whole(path).map(|stamp| stamp.fraction).or_else(plain);
+    told.or_else(|| ordered().map(|stamp| stamp.fraction)).unwrap_or_default()
+}
+
+fn name_in(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
+/// A time whose date can be read in one way.
+fn whole(path: &str) -> Option<Stamp> {
+    let whole = |bytes: &[u8]| stamp(bytes, date);
+    find(name_in(path), whole).or_else(|| find(path, whole)).or_else(|| by_day(path, date))
+}
+
+/// A time whose date is read in this order.
+fn in_order(path: &str, dates: Dates) -> Option<Stamp> {
+    let ordered = |bytes: &[u8]| stamp(bytes, |rest| short_date(rest, dates));
+    find(name_in(path), ordered).or_else(|| by_day(path, |rest| short_date(rest, dates)))
 }
 
 /// An offset from UTC as people write it: `+01:00`, `-0530`, `+1`, `Z`.
@@ -64,6 +80,8 @@ fn find<T>(text: &str, parse: impl Fn(&[u8]) -> Option<T>) -> Option<T> {
 struct Stamp {
     civil: civil::DateTime,
     offset_s: Option<i32>,
+    /// Whether it is told to a fraction of a second.
+    fraction: bool,
 }
 
 impl Stamp {
@@ -173,6 +191,7 @@ fn time_of_day(date: civil::Date, rest: &mut &[u8], iso: bool) -> Option<Stamp> 
     skip(rest, b"-_.:/m");
     let second = number(rest, 2)?;
     let nanosecond = fraction(rest);
+    let fraction = nanosecond.is_some();
     skip(rest, b"s");
     if rest.first().is_some_and(u8::is_ascii_digit) {
         return None;
@@ -185,14 +204,16 @@ fn time_of_day(date: civil::Date, rest: &mut &[u8], iso: bool) -> Option<Stamp> 
         _ => {}
     }
     let small = |n: i32| i8::try_from(n).ok();
-    let time = civil::Time::new(small(hour)?, small(minute)?, small(second)?, nanosecond).ok()?;
+    let time =
+        civil::Time::new(small(hour)?, small(minute)?, small(second)?, nanosecond.unwrap_or(0));
+    let time = time.ok()?;
     let offset_s = offset_behind(rest, iso);
-    Some(Stamp { civil: date.to_datetime(time), offset_s })
+    Some(Stamp { civil: date.to_datetime(time), offset_s, fraction })
 }
 
 /// Three digits (milliseconds) or six (microseconds), directly behind the seconds or behind one
 /// separator, as nanoseconds. Other digits are counters.
-fn fraction(rest: &mut &[u8]) -> i32 {
+fn fraction(rest: &mut &[u8]) -> Option<i32> {
     let separated = matches!(rest.first(), Some(b'.' | b',' | b'_' | b'-'));
     let tail = if separated { &rest[1..] } else { *rest };
     let digits = tail.iter().take_while(|byte| byte.is_ascii_digit()).count();
@@ -200,13 +221,13 @@ fn fraction(rest: &mut &[u8]) -> i32 {
     match (digits, number(&mut read, digits)) {
         (3, Some(milliseconds)) => {
             *rest = read;
-            milliseconds * 1_000_000
+            Some(milliseconds * 1_000_000)
         }
         (6, Some(microseconds)) if separated && rest[0] == b'.' => {
             *rest = read;
-            microseconds * 1000
+            Some(microseconds * 1000)
         }
-        _ => 0,
+        _ => None,
     }
 }
 
@@ -310,8 +331,8 @@ fn by_hour(date: civil::Date, behind: &str) -> Option<Stamp> {
 }
 
 /// Seconds since 1970, with milliseconds behind a dot, or milli-, micro- or nanoseconds: the years 2001
-/// to 2100.
-fn since_1970(bytes: &[u8]) -> Option<UtcMs> {
+/// to 2100. And whether fractions of a second are told.
+fn since_1970(bytes: &[u8]) -> Option<(UtcMs, bool)> {
     let digits = bytes.iter().take_while(|byte| byte.is_ascii_digit()).count();
     let value: i64 = std::str::from_utf8(bytes.get(..digits)?).ok()?.parse().ok()?;
     let seconds = 1_000_000_000..4_102_444_800;
@@ -319,12 +340,13 @@ fn since_1970(bytes: &[u8]) -> Option<UtcMs> {
         10 if seconds.contains(&value) => {
             let mut rest = &bytes[digits..];
             let separated = rest.first() == Some(&b'.');
-            let milliseconds = if separated { fraction(&mut rest) / 1_000_000 } else { 0 };
-            Some(UtcMs(value * 1000 + i64::from(milliseconds)))
+            let nanoseconds = if separated { fraction(&mut rest) } else { None };
+            let milliseconds = i64::from(nanoseconds.unwrap_or(0) / 1_000_000);
+            Some((UtcMs(value * 1000 + milliseconds), nanoseconds.is_some()))
         }
-        13 if seconds.contains(&(value / 1000)) => Some(UtcMs(value)),
-        16 if seconds.contains(&(value / 1_000_000)) => Some(UtcMs(value / 1000)),
-        19 if seconds.contains(&(value / 1_000_000_000)) => Some(UtcMs(value / 1_000_000)),
+        13 if seconds.contains(&(value / 1000)) => Some((UtcMs(value), true)),
+        16 if seconds.contains(&(value / 1_000_000)) => Some((UtcMs(value / 1000), true)),
+        19 if seconds.contains(&(value / 1_000_000_000)) => Some((UtcMs(value / 1_000_000), true)),
         _ => None,
     }
 }

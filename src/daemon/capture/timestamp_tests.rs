@@ -121,3 +121,19 @@ fn folders_by_day() {
         assert_eq!(from_path(path, 0), expected.then_some(UtcMs(EIGHT)), "{path}");
     }
 }
+
+#[test]
+fn a_name_tells_fractions_of_a_second_or_not() {
+    for (path, told) in [
+        ("20260105T080000Z.jpg", false),
+        ("20260105T080000.000Z.jpg", true),
+        ("20260105_080000_0001.jpg", false),
+        ("2026-01-05/08.00.00.jpg", false),
+        ("1767600000.jpg", false),
+        ("1767600000000.jpg", true),
+        ("05-01-2026_08-00-00.500.jpg", true),
+        ("map.png", false),
+    ] {
+        assert_eq!(tells_fraction(path), told, "{path}");
+    }
+}

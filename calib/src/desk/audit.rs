@@ -3,7 +3,7 @@
 //! Owns running `verge audit` on the saved lane table, the file of answers, and naming the result
 //! in `verge.toml`. Which pictures are counted and what follows is decided by the sensor's own code.
 
-use super::merged::{LANES, audits, with_audit};
+use super::merged::{AUDITED, LANES, audits, with_audit};
 use super::program::{Detector, Progress, Task};
 use super::site::Site;
 use crate::error::{Error, Result};
@@ -15,7 +15,7 @@ use std::process::Command;
 use verge::lane::LaneTable;
 
 /// The site's audit file.
-pub const AUDIT: &str = "audit.toml";
+pub const AUDIT: &str = AUDITED;
 /// What was counted.
 pub const COUNTS: &str = "audit_counts.csv";
 /// The saved lane table.

@@ -24,6 +24,10 @@ const MODEL: Key = ["model", "file"];
 /// The audit holds for its lane table alone; only the desk's own is taken out.
 const AUDIT: Key = ["lane_table", "audit"];
 
+/// The desk's lane table.
+pub const LANES: &str = "lanes.lut";
+/// The desk's audit of it.
+pub const AUDITED: &str = "audit.toml";
 /// What the desk writes above a source that is the folder of its pictures.
 pub const FOLDER: &str = "# The folder of pictures at the desk. On the box: the camera's address.";
 
@@ -97,7 +101,7 @@ pub fn with_audit(config: &str) -> Result<String, String> {
     if lane_table(&document, AUDIT).is_some_and(is_audit) {
         return Ok(config.to_owned());
     }
-    set(&mut document, AUDIT, Some(&Value::from(super::audit::AUDIT)));
+    set(&mut document, AUDIT, Some(&Value::from(AUDITED)));
     Ok(written(&document, config))
 }
 
@@ -113,9 +117,6 @@ pub fn names_other_table(config: &str) -> Option<String> {
     other_table(&read(config).ok()?).map(str::to_owned)
 }
 
-/// The desk's lane table.
-pub const LANES: &str = "lanes.lut";
-
 fn other_table(document: &DocumentMut) -> Option<&str> {
     lane_table(document, TABLE).filter(|file| !is_file(file, LANES))
 }
@@ -125,7 +126,7 @@ fn lane_table(document: &DocumentMut, key: Key) -> Option<&str> {
 }
 
 fn is_audit(file: &str) -> bool {
-    is_file(file, super::audit::AUDIT)
+    is_file(file, AUDITED)
 }
 
 /// Whether this is the file of that name beside the configuration.

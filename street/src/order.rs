@@ -1,0 +1,58 @@
+//! The order in which standing and driving things are painted: from far to near.
+//!
+//! Owns the sort that picture and outlines share. Short things go by the distance of their middles.
+//! A long lorry beside one of them may have the nearer middle and yet lie behind, so beside it the
+//! side from which the camera looks decides.
+
+use nalgebra::Point3;
+
+use crate::simulation::Placed;
+
+/// Vehicles longer than this are compared by side, m: longer than a bus.
+const LONG_M: f64 = 13.0;
+
+/// How far beyond its ends a lorry is still beside something, m: half a car.
+const BESIDE_M: f64 = 2.5;
+
+/// Something to paint: its distance on the ground, where its middle is, and what it is.
+pub struct Item<T> {
+    /// Distance of the middle from the camera's foot, m.
+    pub distance: f64,
+    /// Middle, world (X, Y) m.
+    pub middle: [f64; 2],
+    /// What it is.
+    pub what: T,
+}
+
+/// Moves items that stand beside a long vehicle behind or before it, by changing the distance by
+/// which they are sorted. Leaves all as they are where nothing is long.
+pub fn settle<T>(items: &mut [Item<T>], vehicles: &[Placed], eye: &Point3<f64>) {
+    for lorry in vehicles.iter().filter(|vehicle| vehicle.model().length_m() > LONG_M) {
+        let own = (lorry.centre[0] - eye.x).hypot(lorry.centre[1] - eye.y);
+        let [middle_x, middle_y] = lorry.model().centre_m();
+        let reach = lorry.model().length_m() / 2.0 + BESIDE_M;
+        let half = lorry.model().width_m() / 2.0;
+        let aside = |x: f64, y: f64| {
+            let p = lorry.model_point(&Point3::new(x, y, 0.0));
+            [p.x - middle_x, p.y - middle_y]
+        };
+        let [eye_side, _] = aside(eye.x, eye.y);
+        if eye_side.abs() < half {
+            // The camera looks along it: nothing beside it is behind it.
+            continue;
+        }
+        for item in items.iter_mut() {
+            let [side, along] = aside(item.middle[0], item.middle[1]);
+            if along.abs() > reach || side.abs() < half {
+                continue;
+            }
+            // A thousandth of its own distance keeps the order among those that are moved.
+            let near = side * eye_side > 0.0;
+            if near && item.distance > own {
+                item.distance = own - 1.0 + item.distance * 1e-3;
+            } else if !near && item.distance < own {
+                item.distance = own + item.distance * 1e-3;
+            }
+        }
+    }
+}

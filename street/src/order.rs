@@ -11,6 +11,11 @@ use crate::simulation::Placed;
 /// Vehicles longer than this are compared by side, m: longer than a bus.
 const LONG_M: f64 = 13.0;
 
+/// True for a vehicle longer than a bus.
+pub fn is_long(vehicle: &Placed) -> bool {
+    vehicle.model().length_m() > LONG_M
+}
+
 /// How far beyond its ends a lorry is still beside something, m: half a car.
 const BESIDE_M: f64 = 2.5;
 
@@ -27,7 +32,7 @@ pub struct Item<T> {
 /// Moves items that stand beside a long vehicle behind or before it, by changing the distance by
 /// which they are sorted. Leaves all as they are where nothing is long.
 pub fn settle<T>(items: &mut [Item<T>], vehicles: &[Placed], eye: &Point3<f64>) {
-    for lorry in vehicles.iter().filter(|vehicle| vehicle.model().length_m() > LONG_M) {
+    for lorry in vehicles.iter().filter(|vehicle| is_long(vehicle)) {
         let own = (lorry.centre[0] - eye.x).hypot(lorry.centre[1] - eye.y);
         let [middle_x, middle_y] = lorry.model().centre_m();
         let reach = lorry.model().length_m() / 2.0 + BESIDE_M;

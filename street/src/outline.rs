@@ -102,12 +102,17 @@ impl OutlineMap {
 }
 
 /// The bounding box of a vehicle's outline, not clipped, px; `None` when part of it is behind
-/// the camera.
+/// the camera, or part of a long lorry where the lens model ends: that one is not drawn either.
 pub fn hull_boxes(vehicle: &Placed, camera: &Camera) -> Option<[f64; 4]> {
+    let long = order::is_long(vehicle);
     let mut bounds = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
     let parts = mesh_of(vehicle.model_index).parts.iter().flatten();
     for point in parts.chain(&vehicle.model().key_points) {
-        let p = camera.project(&vehicle.world(*point))?;
+        let world = vehicle.world(*point);
+        if long && !camera.images(&world) {
+            return None;
+        }
+        let p = camera.project(&world)?;
         bounds[0] = bounds[0].min(p[0]);
         bounds[1] = bounds[1].min(p[1]);
         bounds[2] = bounds[2].max(p[0]);

@@ -9,7 +9,7 @@ use super::canvas::Canvas;
 use super::light::Lighting;
 use crate::camera::Camera;
 use crate::order::{self, Item};
-use crate::outline::hull;
+use crate::outline::{hull, hull_boxes};
 use crate::simulation::{Placed, Snapshot};
 use crate::solid::{Block, Surface};
 use crate::vehicle::mesh::{Face, mesh_of};
@@ -64,6 +64,9 @@ pub fn in_picture(vehicle: &Placed, camera: &Camera) -> bool {
     let centre = Point3::new(vehicle.centre[0], vehicle.centre[1], 1.0);
     let depth = (camera.rotation * centre.coords + camera.translation).z;
     let Some(image) = camera.project(&centre) else { return false };
+    if order::is_long(vehicle) && hull_boxes(vehicle, camera).is_none() {
+        return false;
+    }
     let reach = camera.focal_px * vehicle.model().length_m() / (depth - 6.0).max(2.0);
     image[0] > -reach
         && image[1] > -reach

@@ -61,3 +61,47 @@ pub fn settle<T>(items: &mut [Item<T>], vehicles: &[Placed], eye: &Point3<f64>) 
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::{Item, settle};
+    use crate::random::Stream;
+    use crate::simulation::Placed;
+    use crate::vehicle::paint::Livery;
+    use crate::vehicle::{ARTICULATED, Class};
+
+    /// The order, from far to near, of a lorry at 40 m and a car at `place` beside or near it, seen
+    /// from the origin; true where the lorry is painted last.
+    fn lorry_last(model_index: usize, place: [f64; 2]) -> bool {
+        let lorry = Placed {
+            id: 1,
+            model_index,
+            lane: 0,
+            lane_s_m: 40.0,
+            speed_m_s: 0.0,
+            braking: false,
+            livery: Livery::draw(Class::Truck, 0.0, &mut Stream::new(1, "order")),
+            centre: [4.0, 40.0],
+            heading: [0.0, 1.0],
+        };
+        let item = |middle: [f64; 2], what| {
+            let distance = middle[0].hypot(middle[1]);
+            Item { distance, middle, what }
+        };
+        let mut items = [item(lorry.centre, "lorry"), item(place, "car")];
+        settle(&mut items, &[lorry], &Point3::new(0.0, 0.0, 10.0));
+        items[0].distance < items[1].distance
+    }
+
+    #[test]
+    fn beside_a_long_lorry_the_side_decides() {
+        // The tail of the lorry stands before a car in the lane beyond, whose middle is nearer.
+        assert!(lorry_last(ARTICULATED, [7.5, 35.0]));
+        assert!(!lorry_last(ARTICULATED, [0.5, 45.0]));
+        // In its own lane and for short vehicles the distance does.
+        assert!(lorry_last(ARTICULATED, [4.0, 60.0]) && !lorry_last(ARTICULATED, [4.0, 20.0]));
+        assert!(!lorry_last(ARTICULATED - 2, [7.5, 35.0]));
+    }
+}

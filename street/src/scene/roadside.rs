@@ -193,7 +193,7 @@ pub struct Closure {
     pub kind: ClosureKind,
     /// Start along the road, m.
     pub from_m: f64,
-    /// End along the road, m.
+    /// Behind this no element with its gap begins, along the road, m.
     pub to_m: f64,
     /// Centre at the start, right of the reference line, m.
     pub offset_m: f64,

@@ -72,10 +72,9 @@ mod tests {
     use crate::vehicle::paint::Livery;
     use crate::vehicle::{ARTICULATED, Class};
 
-    /// The order, from far to near, of a lorry at 40 m and a car at `place` beside or near it, seen
-    /// from the origin; true where the lorry is painted last.
-    fn lorry_last(model_index: usize, place: [f64; 2]) -> bool {
-        let lorry = Placed {
+    /// A vehicle that drives along +Y, its middle at (4, 40).
+    fn placed(model_index: usize) -> Placed {
+        Placed {
             id: 1,
             model_index,
             lane: 0,
@@ -85,7 +84,13 @@ mod tests {
             livery: Livery::draw(Class::Truck, 0.0, &mut Stream::new(1, "order")),
             centre: [4.0, 40.0],
             heading: [0.0, 1.0],
-        };
+        }
+    }
+
+    /// The order, from far to near, of a lorry at 40 m and a car at `place` beside or near it, seen
+    /// from the origin; true where the lorry is painted last.
+    fn lorry_last(model_index: usize, place: [f64; 2]) -> bool {
+        let lorry = placed(model_index);
         let item = |middle: [f64; 2], what| {
             let distance = middle[0].hypot(middle[1]);
             Item { distance, middle, what }
@@ -103,5 +108,12 @@ mod tests {
         // In its own lane and for short vehicles the distance does.
         assert!(lorry_last(ARTICULATED, [4.0, 60.0]) && !lorry_last(ARTICULATED, [4.0, 20.0]));
         assert!(!lorry_last(ARTICULATED - 2, [7.5, 35.0]));
+    }
+    #[test]
+    fn a_lorry_hides_a_lamp_behind_it_and_none_beside_it() {
+        let lorry = placed(ARTICULATED);
+        let (eye, lamp) = (Point3::new(4.0, 0.0, 10.0), |x, y| Point3::new(x, y, 0.8));
+        assert!(lorry.hides(&lamp(4.0, 50.0), &eye));
+        assert!(!lorry.hides(&lamp(4.0, 30.0), &eye) && !lorry.hides(&lamp(8.0, 50.0), &eye));
     }
 }

@@ -151,7 +151,7 @@ fn certificates_as_guides_make_them() {
                  openssl req -new -x509 -days 30 -nodes -newkey rsa:2048 -keyout ca.key -out ca.crt \
                  -subj '/CN=other CA' 2>/dev/null"
             ),
-            Some("neither stands in mqtt.ca_file"),
+            Some("neither stands in mqtt.ca_file ("),
         ),
         ("expired", format!("{CA} {EXPIRED}"), Some("has expired: renew it")),
         (
@@ -180,6 +180,8 @@ fn certificates_as_guides_make_them() {
             (Ok(_), None) => {}
             (Err(reason), Some(words)) => {
                 assert!(reason.contains(words), "{what}: {reason}");
+                let file = format!("mqtt.ca_file ({})", folder.path().join("ca.crt").display());
+                assert!(!reason.contains("neither stands") || reason.contains(&file), "{reason}");
                 assert!(
                     !reason.contains("host and port") && !reason.contains("Error("),
                     "{reason}"

@@ -8,6 +8,7 @@ use rustls::{ServerConfig, ServerConnection, StreamOwned};
 use sha2::{Digest, Sha256};
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener};
+use std::path::Path;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -77,16 +78,17 @@ fn a_certificate_of_its_own_is_refused_with_what_to_do_and_trusted_as_configured
         assert!(
             ask(&url, other).expect_err("another").contains("not the one in camera.fingerprint")
         );
-        let file = Trust::certificates(pem.as_bytes()).expect("a file");
+        let ca = Path::new("/etc/verge/ca.pem");
+        let file = Trust::certificates(ca, pem.as_bytes()).expect("a file");
         assert_eq!(ask(&url, file), Ok(Captured::New), "{name}");
-        let in_der = Trust::certificates(&der).expect("a file");
+        let in_der = Trust::certificates(ca, &der).expect("a file");
         assert_eq!(ask(&url, in_der), Ok(Captured::New), "{name}");
         let (_, _, another) = camera(name);
-        let file = Trust::certificates(another.as_bytes()).expect("a file");
+        let file = Trust::certificates(ca, another.as_bytes()).expect("a file");
         let said = ask(&url, file).expect_err("another camera's");
-        assert!(said.contains("camera.ca_file"), "{said}");
+        assert!(said.contains("camera.ca_file (/etc/verge/ca.pem)"), "{said}");
     }
-    assert!(Trust::certificates(b"hello").is_err());
+    assert!(Trust::certificates(Path::new("ca.pem"), b"hello").is_err());
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod fake_broker;
 use fake_broker::{FakeBroker, Manners};
 use std::path::Path;
 use std::process::Output;
+use std::time::{Duration, Instant};
 
 /// A configuration that is right, with these lines at its end.
 fn configuration(folder: &Path, port: u16, more: &str) -> String {
@@ -286,6 +287,80 @@ fn run_says_why_the_spool_takes_nothing_and_what_to_do() {
         assert!(said.contains(words), "{words} in {said}");
     }
     assert!(!said.contains("os error"), "{said}");
+}
+
+/// The daemon's log while it runs with this configuration, from its folder, until `done`.
+fn log_until(folder: &Path, done: impl Fn(&[String]) -> bool) -> Vec<String> {
+    use std::io::{BufRead, BufReader};
+    let mut running = std::process::Command::new(env!("CARGO_BIN_EXE_verge"))
+        .args(["run", "--config", "verge.toml"])
+        .current_dir(folder)
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let log = BufReader::new(running.stderr.take().expect("piped"));
+    let (sender, receiver) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        log.lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
+    });
+    let (mut lines, begun) = (Vec::<String>::new(), Instant::now());
+    while !done(&lines) && begun.elapsed() < Duration::from_secs(60) {
+        lines.extend(receiver.recv_timeout(Duration::from_millis(100)));
+    }
+    running.kill().and_then(|()| running.wait()).expect("ours");
+    assert!(done(&lines), "{lines:?}");
+    lines
+}
+
+#[test]
+fn a_metrics_file_without_a_folder_is_checked_and_written_beside_the_configuration() {
+    let (broker, folder) = (FakeBroker::start(Manners::default()), common::folder());
+    configuration(folder.path(), broker.port, "[metrics]\nfile = \"verge.prom\"\n");
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_verge"))
+        .args(["check", "--config", "verge.toml"])
+        .current_dir(folder.path())
+        .output()
+        .expect("it runs");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{said}{}", common::stderr(&output));
+    assert!(said.contains("ok    metrics: verge.prom: can be written"), "{said}");
+    let file = folder.path().join("verge.prom");
+    assert!(!file.exists(), "check leaves nothing behind");
+    log_until(folder.path(), |_| file.exists());
+    let text = std::fs::read_to_string(&file).expect("written");
+    assert!(text.contains("verge_build_info{site=\"checked\""), "{text}");
+}
+
+#[test]
+fn a_folder_whose_pictures_are_gone_is_said_once() {
+    let folder = common::folder();
+    let frames = folder.path().join("frames");
+    std::fs::create_dir(&frames).expect("made");
+    let pictures: Vec<_> = std::fs::read_dir(common::STREET_FRAMES)
+        .expect("they ship")
+        .map(|entry| entry.expect("an entry").path())
+        .take(4)
+        .collect();
+    for picture in &pictures {
+        let name = frames.join(picture.file_name().expect("a file"));
+        // A link to nothing: the file is listed, and gone when it is to be read.
+        std::os::unix::fs::symlink("gone", name).expect("a link");
+    }
+    configuration(folder.path(), 1, "");
+    let path = folder.path().join("verge.toml");
+    let text = std::fs::read_to_string(&path).expect("written");
+    let here = std::env::current_dir().expect("a working directory");
+    let shipped = format!("{}/{}", here.display(), common::STREET_FRAMES);
+    std::fs::write(
+        &path,
+        text.replace(&shipped, "frames").replace("interval_s = 1", "interval_s = 0.2"),
+    )
+    .expect("written");
+    let begun = Instant::now();
+    let log = log_until(folder.path(), |_| begun.elapsed() > Duration::from_secs(8));
+    let said: Vec<_> = log.iter().filter(|line| line.contains("no measurement")).collect();
+    assert_eq!(said.len(), 1, "{log:#?}");
+    assert!(said[0].contains("no such file"), "{said:?}");
 }
 
 /// The interval that `check` advises for a camera that is asked each second, s, and all that it says.

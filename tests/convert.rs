@@ -102,10 +102,11 @@ fn what_else_comes_under_the_topics_is_left_out_and_other_forms_are_named() {
     use std::io::Write;
     let lines = json_lines();
     let health = r#"{"schema":1,"site":"k109f","uptime_s":7}"#;
-    let input = format!("verge/k/presence online\nverge/k/health {health}\n{lines}");
+    let presence = "verge/k/presence online\nverge/k/presence offline\nverge/k/presence shutdown";
+    let input = format!("{presence}\nverge/k/health {health}\n{lines}");
     let (code, output, errors) = convert(&input, &["--to", "json"]);
     assert_eq!((code, output.as_str()), (Some(0), lines.as_str()), "{errors}");
-    assert!(errors.contains("2 of other kinds"), "{errors}");
+    assert!(errors.contains("4 of other kinds"), "{errors}");
     let (code, _, errors) = convert("", &["--to", "json"]);
     assert!(code == Some(0) && errors.contains("no density message"), "{errors}");
 

@@ -147,7 +147,7 @@ fn it_speaks_tls_with_a_certificate_of_its_own() {
     let path = file.to_str().expect("a plain path");
     let arguments = ["h264", "--certificate", path, "--login", "box:s3cret", "--basic"];
     let Some(camera) = Camera::start(&arguments) else { return };
-    let trusted = Trust::certificates(certificate.pem().as_bytes()).expect("a file");
+    let trusted = Trust::certificates(&file, certificate.pem().as_bytes()).expect("a file");
     let mut frame = Frame::default();
     let settings = CameraSettings { credentials: login("s3cret"), ..camera.settings("rtsps") };
     let said = Source::network(settings.clone()).next(&mut frame).expect_err("who are you?");

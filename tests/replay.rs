@@ -193,6 +193,8 @@ fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
     file("20260105T080030Z.jpg", b"<html>no picture</html>");
     file("20260105T080040Z.jpg", &jpeg(64, 64, 90));
     file("20260105T080050Z.jpg", &jpeg(320, 240, 120));
+    // A second picture of an instant that has one.
+    file("20260105T080050Z_copy.jpg", &jpeg(320, 240, 60));
     // Nobody will ever write into it.
     let fifo = folder.path().join("20260105T080025Z.jpg");
     assert!(Command::new("mkfifo").arg(&fifo).status().expect("coreutils").success());
@@ -219,10 +221,27 @@ fn frames_that_cannot_be_read_are_named_and_the_rest_is_measured() {
     ] {
         assert!(said.contains(expected), "{expected}: {said}");
     }
+    let twice =
+        "1 of 8 files are left out, for others have the same time: 20260105T080050Z_copy.jpg";
+    assert!(said.contains(twice), "{said}");
     let window: Value = serde_json::from_slice(&output.stdout).expect("one window");
     let lane = &window["lanes"][0];
     assert_eq!((&lane["frames_used"], &lane["frames_expected"]), (&2.into(), &6.into()));
     assert_eq!(window["from"], "2026-01-05T08:00:00.000Z");
+}
+
+#[test]
+fn frames_that_are_gone_are_said_once_with_their_number() {
+    let folder = folder();
+    let name = |second: u32| folder.path().join(format!("20260105T0800{second:02}Z.jpg"));
+    std::fs::write(name(0), jpeg(320, 240, 90)).expect("writing a frame");
+    for second in [10, 20, 30] {
+        std::os::unix::fs::symlink("gone", name(second)).expect("a link to nothing");
+    }
+    let output = verge(&["replay", "--table", K109F_TABLE, "--frames", text(folder.path())]);
+    let said = stderr(&output);
+    let lines: Vec<_> = said.lines().filter(|line| line.contains("no such file")).collect();
+    assert!(lines.len() == 2 && lines[1].contains("2 more frames are left out"), "{said}");
 }
 
 /// Runs replay with these arguments and returns its exit code and what it said.
@@ -267,7 +286,18 @@ fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
         assert!(said.contains(expected), "{expected}: {said}");
     }
     assert_eq!(fails(&["--frames", frames]).0, 64);
-    let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--window", "7"]);
+    for (wrong, expected) in [
+        (["--window", "0"], "give whole seconds"),
+        (["--window", "7"], "give whole seconds"),
+        (["--interval", "0"], "give 0.001 to 86400 s"),
+        (["--interval", "-1"], "give 0.001 to 86400 s"),
+        (["--interval", "nan"], "give 0.001 to 86400 s"),
+    ] {
+        let (code, said) =
+            fails(&[&["--table", K109F_TABLE, "--frames", frames], &wrong[..]].concat());
+        assert!(code == 64 && said.contains(expected), "{code}: {said}");
+    }
+    let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--window", "60"]);
     assert_eq!(code, 66, "{said}");
     let (code, said) = fails(&["--table", K109F_TABLE, "--frames", frames, "--top-speed", "5"]);
     assert!(code == 64 && said.contains("10 to 300"), "{said}");
@@ -282,7 +312,12 @@ fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
     let args = ["--table", K109F_TABLE, "--frames", frames, "--interval", "9"];
     std::fs::write(folder.path().join("frames/a.jpg"), jpeg(320, 240, 9)).expect("a frame");
     let (code, said) = fails(&[&args[..], &["--input", "64x64"]].concat());
-    assert!(code == 78 && said.contains("hardly one is found"), "{said}");
+    assert!(code == 64 && said.contains("hardly one is found"), "{said}");
+    let (code, said) = fails(&[&args[..4], &["--interval", "90", "--window", "60"]].concat());
+    assert!(
+        code == 64 && said.contains("--window: a frame every 90 s cannot fill windows of 60 s"),
+        "{said}"
+    );
     let (code, said) = fails(&[&args[..], &["--detections", K109F_TABLE]].concat());
     assert!(code == 73 && said.contains("an input, which would be lost"), "{said}");
     for (sections, expected) in [
@@ -293,8 +328,50 @@ fn wrong_input_has_a_clear_message_and_the_right_exit_code() {
         let mut args = vec!["--table", K109F_TABLE, "--frames", frames, "--interval", "9"];
         args.extend(sections.iter().flat_map(|section| ["--section", *section]));
         let (code, said) = fails(&args);
-        assert!(code == 78 && said.contains(expected), "{said}");
+        assert!(code == 64 && said.contains(&format!("--section: {expected}")), "{said}");
     }
+}
+
+#[test]
+fn one_table_is_not_two_presets() {
+    let folder = folder();
+    let (copy, link) = (folder.path().join("copy.lut"), folder.path().join("link.lut"));
+    std::fs::copy(common::STREET_TABLE, &copy).expect("copied");
+    let here = std::env::current_dir().expect("a working directory");
+    std::os::unix::fs::symlink(here.join(common::STREET_TABLE), &link).expect("a link");
+    for other in [common::STREET_TABLE, text(&copy), text(&link)] {
+        let (code, said) = fails(&[
+            "--table",
+            common::STREET_TABLE,
+            "--table",
+            other,
+            "--frames",
+            common::STREET_FRAMES,
+        ]);
+        let words = format!("lane table {other} shows the same pose of the camera as ");
+        assert!(code == 65 && said.contains(&words), "{code}: {said}");
+    }
+}
+
+#[test]
+fn what_bench_and_view_cannot_have_is_said_plainly() {
+    let bench = verge(&["bench", "--count", "0"]);
+    assert_eq!(bench.status.code(), Some(64), "{}", stderr(&bench));
+    assert!(stderr(&bench).contains("give 1 to"), "{}", stderr(&bench));
+    let folder = folder();
+    let bench = Command::new(env!("CARGO_BIN_EXE_verge"))
+        .arg("bench")
+        .current_dir(folder.path())
+        .output()
+        .expect("it runs");
+    assert_eq!(bench.status.code(), Some(66), "{}", stderr(&bench));
+    let said = stderr(&bench);
+    assert!(said.contains("--frames and --table") && !said.contains("demo"), "{said}");
+    let taken = std::net::TcpListener::bind((std::net::Ipv4Addr::LOCALHOST, 0)).expect("a port");
+    let port = taken.local_addr().expect("bound").port();
+    let said = verge_desk::loopback::Loopback::bind(port).err().expect("it is taken");
+    assert!(said.contains(&format!("port {port} is in use")), "{said}");
+    assert!(said.contains("--port") && !said.contains("os error"), "{said}");
 }
 
 #[test]

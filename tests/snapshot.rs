@@ -371,9 +371,15 @@ fn pictures_are_collected_under_their_time_and_a_camera_that_is_away_is_named() 
     let address = url.replace("http://", "http://box:s3cret@");
     let output = collect(&address, &frames);
     assert!(output.status.success(), "{output:?}");
-    let said =
-        String::from_utf8_lossy(&[output.stdout.clone(), output.stderr].concat()).into_owned();
+    let said = String::from_utf8_lossy(&[output.stdout.clone(), output.stderr.clone()].concat())
+        .into_owned();
     assert!(!said.contains("s3cret"), "{said}");
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    let last = errors.lines().last().expect("a last line");
+    let counted: Vec<usize> = last.split([' ', ';']).filter_map(|word| word.parse().ok()).collect();
+    let [saved, requests, repeated, failed] = counted[..] else { panic!("{last}") };
+    assert!(last.contains("3 pictures saved") && last.contains(" requests; "), "{last}");
+    assert!(failed > 0 && saved + repeated + failed == requests, "{last}");
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     let mut names: Vec<String> = std::fs::read_dir(&frames)
         .expect("the folder was made")
@@ -387,6 +393,17 @@ fn pictures_are_collected_under_their_time_and_a_camera_that_is_away_is_named() 
     let mut frame = Frame::default();
     assert_eq!(recorded.next(&mut frame).expect("a picture"), Captured::New);
     assert!(frame.time > verge::units::UtcMs(1_700_000_000_000), "named by the time");
+    for (challenge, status) in
+        [("WWW-Authenticate: Basic realm=\"x\"\r\n", "401 Unauthorized"), ("", "403 Forbidden")]
+    {
+        let (url, _requests) = serve(vec![answer(status, challenge, b"")]);
+        let login = collect(&url, &folder.path().join("none"));
+        let said = String::from_utf8_lossy(&login.stderr).into_owned();
+        assert!(said.contains("user:password@") && !said.contains("camera.user"), "{said}");
+    }
+    let login = collect("http://a:b#c@127.0.0.1/", &folder.path().join("none"));
+    let said = String::from_utf8_lossy(&login.stderr).into_owned();
+    assert!(said.contains("%23") && !said.contains("camera.user"), "{said}");
     // Nobody listens on the discard port.
     let away = collect("http://127.0.0.1:9/a.jpg", &folder.path().join("none"));
     assert_eq!(away.status.code(), Some(69), "{away:?}");

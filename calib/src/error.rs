@@ -162,6 +162,14 @@ pub enum Error {
     /// Road marks are not usable.
     #[error("marks: {0}")]
     Marks(String),
+    /// The same of those in a file.
+    #[error("{path}: {problem}", path = path.display())]
+    MarksIn {
+        /// The file.
+        path: PathBuf,
+        /// The mark, and what is wrong with it.
+        problem: String,
+    },
     /// The calibration must not be trusted and was not forced.
     #[error(
         "the calibration says it cannot be trusted: {0}; \

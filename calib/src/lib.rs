@@ -32,6 +32,7 @@ pub mod length_error;
 pub mod methods;
 pub mod model;
 pub mod paper;
+pub mod plain;
 pub mod problem;
 pub mod report;
 pub mod road;

@@ -4,6 +4,7 @@
 //! picture (see `vehicle`).
 
 use crate::error::{Error, Result};
+use crate::plain;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -59,7 +60,7 @@ pub fn read_models(path: &Path) -> Result<Vec<VehicleModel>> {
 /// Parses vehicle models, see [`read_models`]. Models come in the order of their names.
 pub fn parse_models(json: &str) -> Result<Vec<VehicleModel>> {
     let raw: BTreeMap<String, Vec<Option<[f64; 3]>>> = serde_json::from_str(json)
-        .map_err(|e| Error::Json { path: "vehicle models".into(), detail: e.to_string() })?;
+        .map_err(|e| Error::Json { path: "vehicle models".into(), detail: plain::words(&e) })?;
     let models: Vec<_> = raw
         .into_iter()
         .map(|(name, points)| {

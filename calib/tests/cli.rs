@@ -302,6 +302,65 @@ fn a_length_that_contradicts_the_others_is_named() {
 }
 
 #[test]
+fn wrong_marks_are_named_with_their_file_and_place() {
+    let folder = Folder::new("wrong-marks");
+    let street = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/freeway");
+    let calibration = street.join("calibration.json");
+    let marks = folder.join("marks.json");
+    let labelme = |shapes: &str| {
+        format!(r#"{{"shapes":[{shapes}],"imageWidth":640,"imageHeight":480,"imagePath":"a.png"}}"#)
+    };
+    let on_road = r#"{"points":[[300,400],[310,420]],"segment_length_m":6}"#;
+    for (content, words) in [
+        // Outside of the picture a length is whatever the plane of the road makes of it.
+        (
+            format!(
+                r#"{{"marks":[{on_road},{{"points":[[300,400],[2300.5,460]],"segment_length_m":6}}]}}"#
+            ),
+            &["mark 2", "(2300.5, 460.0)", "outside", "720x480"][..],
+        ),
+        (
+            labelme(r#"{"label":"dash 6 m","points":[[300,400],[300,900]],"shape_type":"line"}"#),
+            &["mark 1 (dash 6 m)", "(300.0, 900.0)", "outside"],
+        ),
+        (
+            labelme(
+                r#"{"label":"rectangle 6 x 3 m","points":[[300,400],[330,400],[340,440],[-290,440]],
+                    "shape_type":"polygon"}"#,
+            ),
+            &["rectangle 1 (rectangle 6 x 3 m)", "(-290.0, 440.0)"],
+        ),
+        ("{}".into(), &["\"marks\""]),
+        (r#"{"marks":[]}"#.into(), &["\"marks\""]),
+        ("3".into(), &["3", "an object"]),
+        (
+            r#"{"marks":[{"points":[["a",2],[3,4]],"segment_length_m":6}]}"#.into(),
+            &["\"a\"", "a number", "line 1"],
+        ),
+        (r#"{"marks":[{"points":[[1],[3,4]],"segment_length_m":6}]}"#.into(), &["a list of 2"]),
+        (r#"{"marks":[{"segment_length_m":6}]}"#.into(), &["\"points\" is missing"]),
+        (r#"{"marks":[{"points":[[1,2"#.into(), &["ends too early"]),
+        (
+            r#"{"marks":[{"points":[[1,2],[3,4]],"segment_length_m":0}]}"#.into(),
+            &["mark 1 has segments of 0 m"],
+        ),
+    ] {
+        std::fs::write(&marks, &content).unwrap();
+        let out =
+            mvcalib(&["verify", "--calibration", text(&calibration), "--marks", text(&marks)]);
+        let said = stderr(&out);
+        assert_eq!(out.status.code(), Some(65), "{content}: {said}");
+        assert!(out.stdout.is_empty() && said.contains("marks.json: "), "{said}");
+        for word in words {
+            assert!(said.contains(word), "{word} in {said}");
+        }
+        for rust in ["struct", "f64", "tuple", "array", "sequence", "`", ", expected"] {
+            assert!(!said.contains(rust), "{rust} in {said}");
+        }
+    }
+}
+
+#[test]
 fn exit_codes_follow_sysexits() {
     let folder = Folder::new("codes");
     let labels = data("k109f/labels");

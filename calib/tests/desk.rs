@@ -321,6 +321,94 @@ fn what_is_drawn_and_not_saved_outlives_the_program() {
 }
 
 #[test]
+fn a_draft_on_other_pictures_is_kept_and_said() {
+    let desk = Desk::open(&street());
+    let mut drawing = desk.true_drawing();
+    desk.look(&drawing);
+    drawing["camera_id"] = json!("another");
+    desk.look(&drawing);
+    let site = tempfile::tempdir().unwrap();
+    copy(&desk.site.path().join("site"), &site.path().join("site"));
+    let draft = std::fs::read(site.path().join("site/draft.json")).unwrap();
+    // Other pictures, and what was drawn on those before is not on them.
+    let frames = tempfile::tempdir().unwrap();
+    let pixel = |u: u32, v: u32| image::Rgb([(u / 3) as u8, (v / 2) as u8, 90]);
+    image::RgbImage::from_fn(640, 480, pixel).save(frames.path().join("a.png")).unwrap();
+    let other = Desk::again(frames.path(), site);
+    let site_json = |desk: &Desk| -> Value {
+        let (status, _, body) = desk.get("api/site");
+        assert_eq!(status, 200, "{}", String::from_utf8_lossy(&body));
+        serde_json::from_slice(&body).unwrap()
+    };
+    let answer = site_json(&other);
+    let said = answer["aside"].as_str().expect("it is said");
+    assert!(said.contains("draft-1.json") && said.contains("other pictures"), "{said}");
+    let mut drawing = answer["drawing"].clone();
+    assert_ne!(drawing["camera_id"], "another");
+    for id in ["one", "two"] {
+        drawing["camera_id"] = json!(id);
+        other.look(&drawing);
+    }
+    let kept = |name: &str| std::fs::read(other.site.path().join("site").join(name));
+    assert_eq!(kept("draft-1.json").unwrap(), draft, "as it was");
+    assert_ne!(kept("draft.json").unwrap(), draft, "the new one");
+    assert_eq!(site_json(&other)["drawing"]["camera_id"], "two");
+}
+
+#[test]
+fn saving_again_keeps_what_was_written_into_the_configuration() {
+    let desk = Desk::open(&street());
+    let mut drawing = desk.true_drawing();
+    assert_eq!(desk.post("api/save/0", &drawing).0, 200);
+    let file = desk.site.path().join("site/verge.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let source = text.lines().find(|line| line.starts_with("source = ")).unwrap();
+    let by_hand = text
+        .replace(
+            source,
+            "source = \"rtsp://cam/s\" # on the box\nuser = \"box\"\npassword_file = \"secret\"",
+        )
+        .replace("lengths_s = [60, 900]", "lengths_s = [300]")
+        + "\n# The city's broker.\n[mqtt]\nhost = \"broker.example\"\n";
+    std::fs::write(&file, &by_hand).unwrap();
+    assert_eq!(desk.post("api/save/1", &drawing).0, 200);
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), by_hand, "nothing was changed at the desk");
+    // What is typed at the desk counts, and nothing else changes.
+    drawing["source"] = json!("http://cam/a.jpg");
+    drawing["camera_id"] = json!("north");
+    let (status, saved) = desk.post("api/save/2", &drawing);
+    assert_eq!(status, 200, "{saved}");
+    assert!(saved["files"].to_string().contains("by hand"), "{saved}");
+    let now =
+        by_hand.replace("rtsp://cam/s", "http://cam/a.jpg").replace("\"freeway\"", "\"north\"");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), now);
+    // What cannot be read is not overwritten.
+    std::fs::write(&file, "site = \n").unwrap();
+    let (status, answer) = desk.post("api/save/3", &drawing);
+    let said = answer["error"].as_str().unwrap_or_default();
+    assert!(status == 422 && said.contains("verge.toml") && said.contains("line 1"), "{answer}");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "site = \n");
+}
+
+#[test]
+fn a_password_in_the_query_of_an_address_is_a_login() {
+    let desk = Desk::open(&street());
+    let mut drawing = desk.true_drawing();
+    for source in [
+        "http://cam/snap.jpg?user=a&pwd=s3cret",
+        "http://cam/cgi?PassWord=s3cret",
+        "rtsp://cam/s?x=1&passwd=s3cret",
+        "http://cam/s;pass=s3cret?x=1",
+    ] {
+        drawing["source"] = json!(source);
+        let said = desk.refused(&drawing);
+        assert!(said.contains("user or a password") && !said.contains("s3cret"), "{said}");
+    }
+    drawing["source"] = json!("http://cam/snap.jpg?channel=1&compass=2");
+    assert_eq!(desk.post("api/save/0", &drawing).0, 200);
+}
+
+#[test]
 fn a_lane_over_two_lanes_is_not_its_own_judge() {
     let desk = Desk::open(&street());
     let mut drawing = desk.true_drawing();

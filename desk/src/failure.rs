@@ -65,7 +65,20 @@ pub enum Failure {
 fn unwritten(source: &io::Error) -> String {
     match source.kind() {
         io::ErrorKind::NotFound => "its folder is not there: make it first".to_owned(),
-        _ => format!("{source}; is there room, and may you write there?"),
+        io::ErrorKind::PermissionDenied => "you may not write there: name another place".to_owned(),
+        io::ErrorKind::ReadOnlyFilesystem => {
+            "the file system is read-only: name another place".to_owned()
+        }
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "the disk is full: make room, or name another place".to_owned()
+        }
+        _ => {
+            // Behind it may stand the partial file's name, and the system's number.
+            let text = source.to_string();
+            let text = text.split(" at path ").next().unwrap_or_default();
+            let text = text.split(" (os error").next().unwrap_or_default();
+            format!("{text}; is there room, and may you write there?")
+        }
     }
 }
 

@@ -25,7 +25,7 @@ mod whole_folder;
 pub use failure::Failure;
 pub use free_port::free_port;
 pub use generated::hold;
-pub use program::{Exit, print, run_main};
+pub use program::{Exit, print, run_main, say};
 pub use read::{read_bytes, read_text, text};
 pub use skip::{shared, skip};
 pub use whole::{Batch, make_parent, write_whole, write_whole_beside, write_whole_with};

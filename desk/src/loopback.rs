@@ -69,6 +69,19 @@ impl Reply {
     }
 }
 
+/// Why a port of loopback is not to be had, and what to do.
+fn unbound(port: u16, error: Option<&io::Error>) -> String {
+    match error.map(io::Error::kind) {
+        Some(io::ErrorKind::AddrInUse) => format!(
+            "port {port} is in use, maybe by this very program: end that one, or give another --port"
+        ),
+        Some(io::ErrorKind::PermissionDenied) => format!(
+            "port {port} is kept for services of the system: give a --port from 1024 on, or none"
+        ),
+        _ => format!("port {port} of this machine cannot be had: give another --port, or none"),
+    }
+}
+
 impl Loopback {
     /// Binds a port of loopback; 0 takes a free one.
     ///
@@ -76,8 +89,7 @@ impl Loopback {
     /// Where the port is taken, or the system gives no random bytes; says what to do.
     pub fn bind(port: u16) -> Result<Self, String> {
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
-        let server =
-            Server::http(address).map_err(|e| format!("{address}: {e}; give another --port"))?;
+        let server = Server::http(address).map_err(|e| unbound(port, e.downcast_ref()))?;
         let mut token = [0_u8; 16];
         getrandom::fill(&mut token).map_err(|e| format!("no random bytes for a token: {e}"))?;
         Ok(Loopback { server, token: token.iter().map(|b| format!("{b:02x}")).collect() })

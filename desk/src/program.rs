@@ -26,10 +26,15 @@ pub fn run_main<A: clap::Parser, E: Exit>(run: impl FnOnce(A) -> Result<(), E>) 
     match run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("{}: {failure}", A::command().get_name());
+            say(&format!("{}: {failure}", A::command().get_name()));
             ExitCode::from(failure.exit_code())
         }
     }
+}
+
+/// Says a line on standard error. Where nobody hears it any more (`2>&1 | head`), that is no fault.
+pub fn say(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
 }
 
 /// Prints to standard output.

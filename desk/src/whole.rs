@@ -161,6 +161,19 @@ mod tests {
         assert_eq!(names(folder.path()), ["a.txt"]);
     }
 
+    /// Nobody makes a file in `/sys`, root included.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_place_that_cannot_be_written_is_named_once_and_in_plain_words() {
+        let mut batch = Batch::default();
+        let path = Path::new("/sys/kernel/verge.toml");
+        for failed in [write_whole(path, b"x"), batch.add(path, b"x")] {
+            let said = failed.unwrap_err().to_string();
+            assert_eq!(said.matches("/sys").count(), 1, "{said}");
+            assert!(!said.contains("os error") && !said.contains("partial"), "{said}");
+        }
+    }
+
     #[test]
     fn a_folder_is_made_only_where_that_is_asked_for() {
         let folder = tempfile::tempdir().unwrap();

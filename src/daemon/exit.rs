@@ -16,7 +16,7 @@ use crate::density::AggregateError;
 use std::borrow::Cow;
 use std::path::PathBuf;
 use verge_desk::Exit;
-use verge_desk::sysexits::{CANTCREAT, CONFIG, DATAERR, NOINPUT, SOFTWARE, UNAVAILABLE};
+use verge_desk::sysexits::{CANTCREAT, CONFIG, DATAERR, NOINPUT, SOFTWARE, UNAVAILABLE, USAGE};
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
@@ -156,9 +156,11 @@ pub enum Failure {
         /// Exit code of the first that failed.
         code: u8,
     },
-    /// The demo's files are not there.
-    #[error("the demo needs {what}: {hint}")]
+    /// The files of the recording that is played when none is named are not there.
+    #[error("{needed_by} needs {what}: {hint}")]
     DemoFiles {
+        /// Who needs them.
+        needed_by: &'static str,
         /// The missing part.
         what: String,
         /// Advice.
@@ -190,6 +192,17 @@ pub enum Failure {
         /// The fault.
         reason: String,
     },
+    /// Values of the command line that do not fit what they are for.
+    #[error("{0}")]
+    Usage(String),
+    /// A fault in the words of a command that reads no configuration.
+    #[error("{reason}")]
+    Reworded {
+        /// The fault.
+        reason: String,
+        /// Its exit code.
+        code: u8,
+    },
     /// A port of loopback for a page.
     #[error("{0}")]
     Page(String),
@@ -205,6 +218,15 @@ impl Failure {
     /// No picture came; one that cannot be measured is another failure.
     pub fn is_missing_picture(&self) -> bool {
         matches!(self, Self::Capture(fault) if !fault.is_damage())
+    }
+
+    /// What it says of whichever picture of a recording has it: without the picture's name.
+    pub fn of_any_picture(&self) -> String {
+        match self {
+            Self::Capture(CaptureError::Read { source, .. }) => disk::unread(source).to_string(),
+            Self::Capture(CaptureError::Decode { source, .. }) => source.to_string(),
+            other => other.to_string(),
+        }
     }
 }
 
@@ -239,7 +261,8 @@ impl Exit for Failure {
             Self::InputForm { .. } => DATAERR,
             Self::Spool(SpoolError::Version(_)) => DATAERR,
             Self::Write { .. } | Self::Spool(_) => CANTCREAT,
-            Self::Checks { code, .. } => *code,
+            Self::Usage(_) => USAGE,
+            Self::Checks { code, .. } | Self::Reworded { code, .. } => *code,
             Self::Detect(_) | Self::Stage(_) | Self::Internal(_) => SOFTWARE,
         }
     }

@@ -92,6 +92,17 @@ pub enum LocateError {
         /// The file.
         path: PathBuf,
     },
+    /// Two presets of one pose, whose scenes cannot be told apart.
+    #[error(
+        "lane table {} shows the same pose of the camera as {}: give each preset a table of its own, \
+         and each once", path.display(), other.display()
+    )]
+    SamePose {
+        /// The file.
+        path: PathBuf,
+        /// The one before.
+        other: PathBuf,
+    },
     /// The picture has another shape than the table.
     #[error(
         "a picture of {picture} does not fit the lane table of camera {camera:?}, made for \

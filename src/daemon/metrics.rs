@@ -66,6 +66,11 @@ impl Metrics {
         self.latest.insert(length, report.clone());
     }
 
+    /// From here on there are windows of these lengths alone.
+    pub fn keep(&mut self, lengths: &[Duration]) {
+        self.latest.retain(|length, _| lengths.contains(length));
+    }
+
     /// Keeps what the latest picture took from camera to lanes.
     pub fn note_turn(&mut self, took: Duration) {
         self.turn = Some(took);

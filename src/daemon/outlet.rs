@@ -131,6 +131,11 @@ impl Outlet {
         self.spool.counts()
     }
 
+    /// Why windows are in memory alone; `None` while the disk takes them.
+    pub fn fault(&self) -> Option<&str> {
+        self.spool.fault()
+    }
+
     /// Says goodbye to the broker. What it has not taken waits on the disk for a next run.
     pub fn stop(mut self) {
         self.hear();

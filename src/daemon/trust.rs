@@ -4,7 +4,7 @@
 //! fingerprint. A certificate that stands in the file itself, or whose fingerprint is pinned, is
 //! taken as it is: cameras make their own, for no name and long expired.
 
-use super::certificate::End;
+use super::certificate::{End, not_after};
 use super::foreign::shown;
 use rustls::client::WebPkiServerVerifier;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
@@ -15,6 +15,7 @@ use rustls::{
     CertificateError, ClientConfig, DigitallySignedStruct, Error, RootCertStore, SignatureScheme,
 };
 use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Certificates that are accepted.
@@ -23,10 +24,19 @@ pub enum Trust {
     /// One of a public authority.
     #[default]
     Public,
-    /// One of these, or one that an authority among these vouches for.
-    Certificates(Vec<CertificateDer<'static>>),
+    /// One of a file's, or one that an authority among them vouches for.
+    Certificates(Arc<Known>),
     /// The one with this SHA-256 of its DER form.
     Fingerprint([u8; 32]),
+}
+
+/// The certificates of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Known {
+    /// The file, for the words.
+    pub file: PathBuf,
+    /// What it holds.
+    pub certificates: Vec<CertificateDer<'static>>,
 }
 
 /// Who shows a certificate, for the words.
@@ -39,22 +49,35 @@ pub enum Peer {
 }
 
 impl Trust {
-    /// The certificates of a PEM file, or of one in DER.
+    /// The certificates of a file in PEM, or of one in DER: its content.
     ///
     /// # Errors
     /// The fault of the file.
-    pub fn certificates(file: &[u8]) -> Result<Self, String> {
-        let pem: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(file).collect();
-        let found = pem.map_err(|_| {
+    pub fn certificates(file: &Path, content: &[u8]) -> Result<Self, String> {
+        let pem: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(content).collect();
+        let mut certificates = pem.map_err(|_| {
             "a certificate in it is damaged or cut off: copy the file again".to_owned()
         })?;
-        if !found.is_empty() {
-            return Ok(Self::Certificates(found));
+        if certificates.is_empty() && content.first() == Some(&0x30) {
+            certificates.push(CertificateDer::from(content.to_vec()));
         }
-        if file.first() == Some(&0x30) {
-            return Ok(Self::Certificates(vec![CertificateDer::from(file.to_vec())]));
+        if certificates.is_empty() {
+            let none = "no certificate is in it, which begins with -----BEGIN CERTIFICATE-----";
+            return Err(none.to_owned());
         }
-        Err("no certificate is in it, which begins with -----BEGIN CERTIFICATE-----".to_owned())
+        // A key or a bundle in DER begins as a certificate does.
+        if certificates.iter().all(|certificate| not_after(certificate).is_none()) {
+            return Err("what is in it is not a certificate: export that alone, as PEM".to_owned());
+        }
+        Ok(Self::Certificates(Arc::new(Known { file: file.to_owned(), certificates })))
+    }
+
+    /// The key of a configuration that names its file, with the file where there is one.
+    fn named(&self, key: &str) -> String {
+        match self {
+            Self::Certificates(known) => format!("{key} ({})", known.file.display()),
+            _ => key.to_owned(),
+        }
     }
 
     /// Reads a fingerprint as `openssl x509 -noout -fingerprint -sha256` or a browser shows it.
@@ -125,8 +148,8 @@ impl Verifier {
         match trust {
             Trust::Public => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
             // A certificate that is not an authority's is trusted as it is.
-            Trust::Certificates(certificates) => {
-                roots.add_parsable_certificates(certificates.iter().cloned());
+            Trust::Certificates(known) => {
+                roots.add_parsable_certificates(known.certificates.iter().cloned());
             }
             Trust::Fingerprint(_) => {}
         }
@@ -160,7 +183,7 @@ impl Verifier {
         match &self.trust {
             Trust::Public => false,
             Trust::Certificates(known) => {
-                known.iter().any(|known| known.as_ref() == certificate.as_ref())
+                known.certificates.iter().any(|known| known.as_ref() == certificate.as_ref())
             }
             Trust::Fingerprint(known) => *known == <[u8; 32]>::from(Sha256::digest(certificate)),
         }
@@ -189,9 +212,13 @@ impl ServerCertVerifier for Verifier {
                 ),
                 _ => match self.peer {
                     Peer::Camera => {
-                        format!("the camera's certificate is not in camera.ca_file; it has {own}")
+                        let file = self.trust.named("camera.ca_file");
+                        format!("the camera's certificate is not in {file}; it has {own}")
                     }
-                    Peer::Broker => "the broker's certificate is not in mqtt.ca_file".to_owned(),
+                    Peer::Broker => {
+                        let file = self.trust.named("mqtt.ca_file");
+                        format!("the broker's certificate is not in {file}")
+                    }
                 },
             }));
         };
@@ -254,10 +281,13 @@ fn refusal(error: &Error, trust: &Trust, own: &str) -> String {
         ) => format!("the camera's certificate is for another name. {remedy}"),
         _ => {
             let by = match trust {
-                Trust::Public => "no public authority vouches for the camera's certificate",
-                _ => {
-                    "the camera's certificate neither stands in camera.ca_file nor is signed by one that does"
+                Trust::Public => {
+                    "no public authority vouches for the camera's certificate".to_owned()
                 }
+                _ => format!(
+                    "the camera's certificate neither stands in {} nor is signed by one that does",
+                    trust.named("camera.ca_file")
+                ),
             };
             format!("{by}: cameras make their own. {remedy}")
         }
@@ -290,11 +320,10 @@ fn broker_refusal(error: &Error, trust: &Trust, name: &ServerName<'_>) -> String
             Trust::Public => "no public authority vouches for the broker's certificate: name the \
                               authority's, or the broker's own, in mqtt.ca_file"
                 .to_owned(),
-            _ => {
-                "the broker's certificate neither stands in mqtt.ca_file nor is signed by one that \
-                  does"
-                    .to_owned()
-            }
+            _ => format!(
+                "the broker's certificate neither stands in {} nor is signed by one that does",
+                trust.named("mqtt.ca_file")
+            ),
         },
         other if format!("{other:?}").contains("UnsupportedCertVersion") => format!(
             "the broker's certificate is of X.509 version 1, as `openssl x509 -req` without \
@@ -346,38 +375,5 @@ fn named(value: &impl std::fmt::Debug) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn faults_of_tls_are_words() {
-        use rustls::{AlertDescription as Alert, CertificateError as Wrong, OtherError};
-        let other = Wrong::Other(OtherError(Arc::new(std::fmt::Error)));
-        for (error, said) in [
-            (Error::AlertReceived(Alert::UnknownCA), "TLS was ended there: unknown ca"),
-            (Error::InvalidCertificate(Wrong::BadEncoding), "cannot be taken: bad encoding"),
-            (Error::InvalidCertificate(other), "cannot be taken: error"),
-            (Error::DecryptError, "another service"),
-        ] {
-            let words = fault(&error);
-            assert!(words.contains(said) && !words.contains('('), "{words}");
-        }
-    }
-
-    #[test]
-    fn fingerprints_as_programs_print_them() {
-        let digits = "AB:".repeat(32);
-        let expected = Trust::Fingerprint([0xab; 32]);
-        for text in [
-            digits.trim_end_matches(':').to_owned(),
-            "ab".repeat(32),
-            format!("sha256:{}", "ab".repeat(32)),
-            format!("sha256 Fingerprint={}", digits.trim_end_matches(':')),
-        ] {
-            assert_eq!(Trust::fingerprint(&text).as_ref(), Ok(&expected), "{text}");
-        }
-        for text in ["", "ab", "abz", &"ab".repeat(20), &"é".repeat(32)] {
-            assert!(Trust::fingerprint(text).is_err(), "{text}");
-        }
-    }
-}
+#[path = "trust_tests.rs"]
+mod tests;

@@ -61,11 +61,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let detector = arguments.detector()?;
     let traffic = Traffic::new(detector.clone(), &site, arguments.detections.as_deref())?;
     if let Some(said) = traffic.state().problem {
-        eprintln!("mvcalib: {said}");
+        verge_desk::say(&format!("mvcalib: {said}"));
     }
     let desk = Desk::bind(site, arguments.port, detector, traffic, camera)?;
     print(&desk.address());
-    eprintln!("open this address in a browser; Ctrl-C ends the desk");
+    verge_desk::say("open this address in a browser; Ctrl-C ends the desk");
     desk.serve();
     Ok(())
 }

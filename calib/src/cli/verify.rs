@@ -39,14 +39,15 @@ const NINETY: f64 = 1.645;
 pub fn run(arguments: &Arguments) -> Result<()> {
     let calibration = arguments.calibration.read()?;
     let marks = Marks::read(&arguments.marks)?;
+    let camera = calibration.camera();
+    marks.require_within(camera.image_size, &arguments.marks)?;
     if marks.segments().next().is_none() {
-        return Err(Error::Marks(
-            "rectangles alone, and none with its sides: nothing to measure; label them \
-             'rectangle 12 x 3.5 m', or add a length"
-                .into(),
-        ));
+        let path = arguments.marks.clone();
+        let problem = "rectangles alone, and none with its sides: nothing to measure; label them \
+                       'rectangle 12 x 3.5 m', or add a length";
+        return Err(Error::MarksIn { path, problem: problem.into() });
     }
-    let accuracy = marks.verify(&calibration.camera())?;
+    let accuracy = marks.verify(&camera)?;
     let across = calibration.errors.as_ref().map(StatedErrors::across);
     let json = serde_json::to_string(&Verified { accuracy, stated_across: across })
         .expect("finite numbers are always JSON");

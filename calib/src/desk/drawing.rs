@@ -8,6 +8,7 @@ use crate::bodies::Body;
 use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
 use crate::model::KEY_POINT_COUNT;
+use crate::plain;
 use crate::road::cue_files;
 use crate::road::fit::{Cues, LaneCue, RectangleCue};
 use crate::road::marks::Mark;
@@ -164,7 +165,7 @@ impl Drawing {
     /// # Errors
     /// Says what is wrong with it.
     pub fn parse(json: &[u8]) -> std::result::Result<Self, String> {
-        let drawing: Drawing = serde_json::from_slice(json).map_err(|e| e.to_string())?;
+        let drawing: Drawing = serde_json::from_slice(json).map_err(|e| plain::words(&e))?;
         if drawing.format != FORMAT || drawing.version > VERSION {
             let Drawing { format, version, .. } = drawing;
             return Err(format!("{format} {version}, this program reads {FORMAT} {VERSION}"));
@@ -387,7 +388,7 @@ mod tests {
             ("verge-desk", "verge-lanes", "this program reads verge-desk 1"),
             ("\"version\":1", "\"version\":2", "verge-desk 2"),
             ("\"lanes\":[]", "\"lanes\":[{\"number\":1,\"polygon\":[[1e999,0]]}]", "number"),
-            ("\"site\"", "\"seite\"", "unknown field"),
+            ("\"site\"", "\"seite\"", "is not known here"),
         ] {
             let error = Drawing::parse(good.replace(from, to).as_bytes()).unwrap_err();
             assert!(error.contains(expected), "{error}");

@@ -7,6 +7,7 @@ use super::audit;
 use super::backdrop::{Backdrop, spread};
 use super::drawing::{Drawing, Px};
 use super::look;
+use super::merged::merged;
 use super::site::{POSE, SITE, Site, source};
 use super::traffic::Traffic;
 use crate::error::{Error, Result};
@@ -30,6 +31,11 @@ const WINDOWS_S: [u64; 2] = [60, 900];
 
 /// Files that only some drawings have: known lengths, and lane lines.
 const OPTIONAL: [&str; 2] = ["lengths.json", "lane_lines.json"];
+
+const CONFIG: &str = "verge.toml";
+/// What [`CONFIG`] is.
+const OURS: &str = "the sensor's configuration";
+const BY_HAND: &str = "the sensor's configuration, with what was changed in it by hand";
 
 /// What was saved.
 #[derive(Debug, Serialize)]
@@ -83,13 +89,14 @@ pub fn save(
     if audit::holds(site, &table) {
         config = audit::named(&config);
     }
+    let (config, is_by_hand) = kept(config, site, model)?;
     let drawn = serde_json::to_string(drawing).expect("a drawing of finite numbers is JSON");
     let [lengths, lines] = drawing.labelme_lines();
     let mut files = vec![
         ("calibration.json", json.into_bytes(), "the camera, for `mvcalib verify` and `report`"),
         ("lanes.json", labelme(&drawing.labelme(&drawing.lanes)), "the lanes, for labelme too"),
         ("lanes.lut", table, "the lane table, for `verge run`"),
-        ("verge.toml", config.into_bytes(), "the sensor's configuration"),
+        (CONFIG, config.into_bytes(), if is_by_hand { BY_HAND } else { OURS }),
         (POSE, backdrop.png.clone(), "the picture that was drawn on"),
         (SITE, drawn.into_bytes(), "everything drawn: opened again by `mvcalib desk`"),
     ];
@@ -125,6 +132,25 @@ pub fn save(
     }
     let files = files.into_iter().map(|(name, _, what)| (name.into(), what.into())).collect();
     Ok(Saved { folder: site.folder.display().to_string(), files })
+}
+
+/// The configuration with what people have changed in that of the last save, and whether they have.
+fn kept(now: String, site: &Site, model: Option<&Path>) -> Result<(String, bool)> {
+    let path = site.file(CONFIG);
+    // Without a drawing beside it, it is another's.
+    let drawing = std::fs::read(site.file(SITE)).ok().and_then(|json| Drawing::parse(&json).ok());
+    let (Some(drawing), true) = (drawing, path.exists()) else { return Ok((now, false)) };
+    let before = toml(&drawing, site, model).unwrap_or_default();
+    let found = verge_desk::read_text(&path)?;
+    let merged = merged(&found, &before, &now).map_err(|why| {
+        Error::Usage(format!(
+            "{}: {why}: it was changed by hand and would be lost; mend it, or move it away, and save \
+             again",
+            path.display()
+        ))
+    })?;
+    let is_by_hand = merged != now;
+    Ok((merged, is_by_hand))
 }
 
 fn points(polygon: &[Px]) -> Vec<Vector2<f64>> {

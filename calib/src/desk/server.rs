@@ -7,6 +7,7 @@ use super::audit::{Answer, Audit};
 use super::backdrop::{Backdrop, Shift, name_of};
 use super::collect::{Camera, Collection, Pace};
 use super::dashes::{LineDashes, dashes};
+use super::draft::{self, Draft};
 use super::drawing::Drawing;
 use super::look::look;
 use super::page;
@@ -36,9 +37,6 @@ pub struct Desk {
     latest: Mutex<Latest>,
 }
 
-/// What is drawn and not saved, in the site's folder.
-const DRAFT: &str = "draft.json";
-
 /// The drawing that the page sent last: a page that is loaded again goes on with it, and so does a
 /// program that is started again.
 #[derive(Default)]
@@ -46,6 +44,8 @@ struct Latest {
     drawing: Option<Drawing>,
     /// What this program has saved.
     saved: Option<Drawing>,
+    /// What became of a drawing on other pictures that was not saved.
+    aside: Option<String>,
     /// How often this site was saved since the program began.
     version: u64,
 }
@@ -202,9 +202,10 @@ impl Desk {
         }
         let model = self.detector.as_ref().map(|d| d.model.as_path());
         let saved = save(&drawing, &self.site, &prepared.backdrop, &self.traffic, model)?;
-        let _ = std::fs::remove_file(self.site.file(DRAFT));
+        draft::drop(&self.site);
         let version = latest.version + 1;
-        *latest = Latest { drawing: Some(drawing.clone()), saved: Some(drawing), version };
+        let (copy, aside) = (drawing.clone(), latest.aside.take());
+        *latest = Latest { drawing: Some(copy), saved: Some(drawing), aside, version };
         Ok(json!({ "folder": saved.folder, "files": saved.files, "version": version }))
     }
 
@@ -218,11 +219,7 @@ impl Desk {
         }
         // The first one is what the page was loaded with.
         if latest.drawing.is_some() {
-            let draft = self.site.file(DRAFT);
-            let json = serde_json::to_vec(drawing).expect("a drawing of finite numbers is JSON");
-            // Where it cannot be written saving says so.
-            let _ = verge_desk::make_parent(&draft)
-                .and_then(|()| verge_desk::write_whole(&draft, &json));
+            draft::keep(&self.site, drawing);
         }
         latest.drawing = Some(drawing.clone());
     }
@@ -233,18 +230,23 @@ impl Desk {
         latest.drawing = latest.saved.clone();
         // What the page still sends is of the drawing that was dropped.
         latest.version += 1;
-        let _ = std::fs::remove_file(self.site.file(DRAFT));
+        draft::drop(&self.site);
     }
 
-    /// Takes up what was drawn on these pictures and not saved before the program ended.
-    fn take_up(&self, backdrop: &Backdrop) {
+    /// Takes up what was drawn on these pictures and not saved before the program ended. What was
+    /// drawn on others is set aside, where the folder may be written.
+    fn take_up(&self, prepared: &Prepared) {
         let mut latest = self.latest();
-        let draft = || verge_desk::read_bytes(&self.site.file(DRAFT)).ok();
-        if latest.drawing.is_none()
-            && let Some(drawing) = draft().and_then(|json| Drawing::parse(&json).ok())
-            && drawing.backdrop == backdrop.sha256
-        {
-            latest.drawing = Some(drawing);
+        if prepared.opened.is_err() {
+            return;
+        }
+        match draft::find(&self.site, &prepared.backdrop.sha256) {
+            Draft::Here(drawing) if latest.drawing.is_none() => latest.drawing = Some(*drawing),
+            Draft::Aside(said) => {
+                latest.drawing.take_if(|d| d.backdrop != prepared.backdrop.sha256);
+                latest.aside = Some(said);
+            }
+            Draft::Here(_) | Draft::None => {}
         }
     }
 
@@ -273,7 +275,7 @@ impl Desk {
         let problem = opened.as_ref().err().map(ToString::to_string);
         let opened = opened.ok().flatten();
         let empty = || Drawing::empty(backdrop.image_size, backdrop.sha256.clone());
-        self.take_up(backdrop);
+        self.take_up(&prepared);
         let latest = self.latest();
         // One on other pictures is not on these.
         let here = |d: &&Drawing| d.backdrop == backdrop.sha256;
@@ -297,6 +299,7 @@ impl Desk {
             "drawing": drawing,
             "saved": saved.is_some() && !is_draft,
             "draft": is_draft,
+            "aside": latest.aside,
             "version": latest.version,
             "moved": moved.map(shift_json),
             "problem": problem,

@@ -30,6 +30,7 @@ use super::stated::{StatedErrors, Uncertainty};
 use crate::camera::{Camera, Lens, Pose};
 use crate::error::{Error, Result};
 use crate::length_error::{CameraCovariance, UncertainCamera};
+use crate::plain;
 use crate::trust::Trust;
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -204,7 +205,7 @@ impl Calibration {
         let text = verge_desk::read_text(path)?;
         let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };
         let mut calibration: Calibration =
-            serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+            serde_json::from_str(&text).map_err(|e| wrong(plain::words(&e)))?;
         if calibration.format != FORMAT || calibration.version > VERSION {
             let Calibration { format, version, .. } = calibration;
             return Err(wrong(format!(

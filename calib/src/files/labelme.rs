@@ -6,6 +6,7 @@
 use crate::bodies::Body;
 use crate::error::{Error, Result};
 use crate::model::KEY_POINT_COUNT;
+use crate::plain;
 use crate::vehicle::{KeyPoint, Vehicle};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
@@ -128,13 +129,13 @@ impl LabelFile {
             } else {
                 ""
             };
-            format!("{e}{number}")
+            format!("{}{number}", plain::words(&e))
         })?;
         if let Some(other) = other_format(&value) {
             return Err(other.to_owned());
         }
         // From the text again: its messages have line and column.
-        serde_json::from_str(text).map_err(|e| e.to_string())
+        serde_json::from_str(text).map_err(|e| plain::words(&e))
     }
 
     /// Width and height of the picture, px.

@@ -6,6 +6,7 @@
 //! u = u_reference + du, v = v_reference + dv, px.
 
 use crate::error::{Error, Result};
+use crate::plain;
 use crate::vehicle::Vehicle;
 use nalgebra::Vector2;
 use serde::Deserialize;
@@ -23,7 +24,8 @@ impl FrameShifts {
     pub fn read(path: &Path) -> Result<Self> {
         let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };
         let text = verge_desk::read_text(path)?;
-        let shifts: FrameShifts = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        let shifts: FrameShifts =
+            serde_json::from_str(&text).map_err(|e| wrong(plain::words(&e)))?;
         match shifts.shifts.iter().find(|(_, s)| !s.iter().all(|x| x.is_finite())) {
             Some((name, _)) => Err(wrong(format!("{name}: shift is not a finite number"))),
             None => Ok(shifts),

@@ -6,6 +6,7 @@
 
 use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
+use crate::plain;
 use crate::road::fit::{BoxCue, Class, LaneCue};
 use crate::road::lane_axis;
 use crate::road::outline::{self, Outline};
@@ -125,7 +126,7 @@ pub fn boxes(path: &Path, size: [u32; 2]) -> Result<Vec<BoxCue>> {
     for (frame, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         let parsed: Frame = serde_json::from_str(line).map_err(|e| Error::Json {
             path: path.to_owned(),
-            detail: format!("line {}: {e}", frame + 1),
+            detail: format!("line {}: {}", frame + 1, plain::words(&e)),
         })?;
         for (x0, y0, x1, y1, score, class) in parsed.boxes {
             let corners = [x0, y0, x1, y1];

@@ -8,6 +8,7 @@
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::files::labelme::{LabelFile, Shape};
+use crate::plain;
 use crate::road::fit::{MarkCue, RectangleCue};
 use crate::road::standards;
 use nalgebra::{Vector2, Vector3};
@@ -82,10 +83,28 @@ impl Rectangle {
 
     /// The cue of the road fit.
     pub fn cue(&self, number: usize) -> RectangleCue {
-        let name = self.name.as_ref().filter(|n| !n.is_empty() && *n != "rectangle");
-        let name =
-            name.map_or(format!("rectangle {number}"), |n| format!("rectangle {number} ({n})"));
+        let name = called("rectangle", number - 1, &self.name);
         RectangleCue { name, corners: self.points.map(Vector2::from), sides_m: self.sides_m }
+    }
+}
+
+/// How far a point may lie beyond the edge of the picture, px: what is clicked on the edge.
+const BEYOND_PX: f64 = 1.0;
+
+/// A mark by its number, from 0 on, and its name.
+fn called(kind: &str, index: usize, name: &Option<String>) -> String {
+    let number = index + 1;
+    match name.as_ref().filter(|name| !name.is_empty() && *name != kind) {
+        Some(name) => format!("{kind} {number} ({name})"),
+        None => format!("{kind} {number}"),
+    }
+}
+
+/// With the file that it was read from.
+fn of_file(path: &Path, error: Error) -> Error {
+    match error {
+        Error::Marks(problem) => Error::MarksIn { path: path.to_owned(), problem },
+        other => other,
     }
 }
 
@@ -134,8 +153,7 @@ impl Mark {
 
     /// The cue of the road fit.
     pub fn cue(&self, number: usize) -> MarkCue {
-        let name = self.name.as_ref().filter(|n| !n.is_empty());
-        let name = name.map_or(format!("mark {number}"), |n| format!("mark {number} ({n})"));
+        let name = called("mark", number - 1, &self.name);
         let points = self.points.iter().map(|&p| p.into()).collect();
         let mut cue = MarkCue::measured(name, points, self.segment_length_m);
         cue.rel_sd = self.rel_sd.unwrap_or(cue.rel_sd);
@@ -164,7 +182,41 @@ pub struct Accuracy {
 
 impl Marks {
     /// Reads and checks a marks file, or the lines of a labelme file.
+    ///
+    /// # Errors
+    /// Names the file, and the mark with what is wrong with it.
     pub fn read(path: &Path) -> Result<Self> {
+        Self::parsed(path).map_err(|error| of_file(path, error))
+    }
+
+    /// Refuses points that no picture of this size has: there a length is whatever the plane of the
+    /// road makes of it.
+    ///
+    /// # Errors
+    /// Names the file that they were read from, and the first such mark and point.
+    pub fn require_within(&self, [width, height]: [u32; 2], path: &Path) -> Result<()> {
+        let is_in = |x: f64, most: u32| (-BEYOND_PX..=f64::from(most) + BEYOND_PX).contains(&x);
+        let out = |points: &[[f64; 2]]| {
+            points.iter().copied().find(|&[u, v]| !is_in(u, width) || !is_in(v, height))
+        };
+        let marks = self.marks.iter().enumerate();
+        let mut marks =
+            marks.filter_map(|(k, mark)| Some((called("mark", k, &mark.name), out(&mark.points)?)));
+        let rectangles = self.rectangles.iter().enumerate();
+        let mut rectangles = rectangles.filter_map(|(k, rectangle)| {
+            Some((called("rectangle", k, &rectangle.name), out(&rectangle.points)?))
+        });
+        let Some((name, [u, v])) = marks.next().or_else(|| rectangles.next()) else {
+            return Ok(());
+        };
+        let problem = format!(
+            "{name} has a point at ({u:.1}, {v:.1}) px, outside of the calibration's picture of \
+             {width}x{height} px: move it, or give marks of this camera"
+        );
+        Err(of_file(path, Error::Marks(problem)))
+    }
+
+    fn parsed(path: &Path) -> Result<Self> {
         let bytes = verge_desk::read_bytes(path)?;
         let wrong = |detail: String| Error::Json { path: path.to_owned(), detail };
         let labelled = serde_json::from_slice::<serde_json::Value>(&bytes)
@@ -187,7 +239,7 @@ impl Marks {
             let rectangles = of(true).map(Rectangle::of_shape).collect::<Result<_>>()?;
             Marks { marks: of(false).map(Mark::of_shape).collect(), rectangles }
         } else {
-            serde_json::from_slice(&bytes).map_err(|e| wrong(e.to_string()))?
+            serde_json::from_slice(&bytes).map_err(|e| wrong(plain::words(&e)))?
         };
         for mark in &mut marks.marks {
             let Some(name) = &mark.standard else { continue };
@@ -211,7 +263,11 @@ impl Marks {
 
     fn check(&self) -> Result<()> {
         if self.marks.is_empty() && self.rectangles.is_empty() {
-            return Err(Error::Marks("none in the file".into()));
+            return Err(Error::Marks(
+                "there are none in it: \"marks\" and \"rectangles\" are empty or missing, and it has no \
+                 lines of labelme"
+                    .into(),
+            ));
         }
         for (index, mark) in self.marks.iter().enumerate() {
             let number = index + 1;
@@ -326,54 +382,5 @@ impl Accuracy {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_measures_are_the_textbook_ones() {
-        let a = Accuracy::of(&[(0.5, 5.0), (-1.0, 10.0)]);
-        assert!((a.rmse_m - 0.625f64.sqrt()).abs() < 1e-12);
-        assert_eq!((a.mae_m, a.mape_pct, a.bias_m, a.bias_pct), (0.75, 10.0, -0.25, 0.0));
-        assert_eq!(a.segments, 2);
-    }
-
-    fn shape(label: &str, shape_type: &str, points: usize) -> Shape {
-        let corners = [[10.0, 90.0], [60.0, 90.0], [50.0, 50.0], [20.0, 50.0], [15.0, 70.0]];
-        Shape {
-            label: label.into(),
-            points: corners[..points].to_vec(),
-            shape_type: shape_type.into(),
-            group_id: None,
-            flags: Default::default(),
-        }
-    }
-
-    #[test]
-    fn a_rectangle_is_a_polygon_of_four_corners_with_or_without_its_sides() {
-        let read = |label: &str| Rectangle::of_shape(&shape(label, "polygon", 4)).unwrap().sides_m;
-        assert_eq!(read("rectangle"), None);
-        assert_eq!(read("parking bay"), None);
-        assert_eq!(read("rectangle 12 x 3.5 m"), Some([12.0, 3.5]));
-        assert_eq!(read("5m x 2.5m"), Some([5.0, 2.5]));
-        for (label, kind, points, expected) in [
-            ("rectangle", "polygon", 5, "four corners"),
-            ("rectangle", "rectangle", 2, "upright in the picture"),
-            ("rectangle 12", "polygon", 4, "both sides"),
-            ("rectangle 12 x y", "polygon", 4, "both sides"),
-        ] {
-            let error = Rectangle::of_shape(&shape(label, kind, points)).unwrap_err().to_string();
-            assert!(error.contains(expected) && error.contains(label), "{error}");
-        }
-    }
-
-    #[test]
-    fn impossible_marks_are_named() {
-        let mark = |points, metres| Marks {
-            marks: vec![Mark::new(points, metres)],
-            rectangles: Vec::new(),
-        };
-        assert!(mark(vec![[1.0, 2.0]], 6.0).check().is_err());
-        assert!(mark(vec![[1.0, 2.0], [3.0, 4.0]], 0.0).check().is_err());
-        assert!(mark(vec![[1.0, f64::NAN], [3.0, 4.0]], 6.0).check().is_err());
-    }
-}
+#[path = "marks_tests.rs"]
+mod tests;

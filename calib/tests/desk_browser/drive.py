@@ -584,7 +584,13 @@ def main():
         some.mkdir()
         for path in sorted((STREET / "frames").iterdir())[::4]:
             shutil.copy(path, some)
+        # What was drawn on others and not saved is kept, and the page says where.
+        draft = json.loads((site / "site.json").read_text()) | {"backdrop": "00"}
+        (site / "draft.json").write_text(json.dumps(draft))
         desk = open_desk(some, "--verge", verge)
+        desk.page.wait_for_selector("#aside")
+        assert "draft-1.json" in desk.text("#aside"), desk.text("#aside")
+        assert json.loads((site / "draft-1.json").read_text()) == draft
         the_site_is_audited(desk, site, shot)
         desk.close()
         print("the site is audited")

@@ -10,6 +10,7 @@ mod latest;
 mod mjpeg;
 pub mod negotiate;
 pub mod network;
+mod order;
 pub mod picture;
 pub mod queue;
 mod recorded;

@@ -4,6 +4,7 @@
 //! recording changes no other file's time: where names tell the times, one whose name does not
 //! is left out, and logged.
 
+use super::order::{is_one_instant, keep_rising, median_step, spread};
 use super::timestamp;
 use super::{CaptureError, Captured, DecodeError, MAX_PICTURE_BYTES, decode};
 use crate::daemon::{clock, dates::Dates, disk, foreign::shown, frame::Frame, plain};
@@ -145,7 +146,11 @@ impl Recorded {
             .filter_map(|(name, time)| Some((folder.join(&name), name, time?)))
             .collect();
         files.sort_by_key(|(_, _, time)| *time);
-        spread(&mut files);
+        let interval = match time_source {
+            TimeSource::Names => one_of_each(&mut files).unwrap_or(interval),
+            _ => interval,
+        };
+        spread(files.iter_mut().map(|(_, _, time)| time).collect());
         Ok(Self { files, next: 0, for_ever: false, interval, time_source, bytes: Vec::new() })
     }
 
@@ -337,53 +342,28 @@ fn times(
     Ok((source, times.collect(), step))
 }
 
-/// The median time from one frame to the next.
-fn median_step(times: &[Option<UtcMs>]) -> Option<Duration> {
-    let mut times: Vec<_> = times.iter().flatten().copied().collect();
-    times.sort();
-    let mut steps: Vec<_> =
-        times.windows(2).map(|pair| pair[1].saturating_since(pair[0])).collect();
-    steps.sort();
-    // Frames of one second: as many as there are share it.
-    let span = times.last()?.saturating_since(*times.first()?);
-    let median = *steps.get(steps.len() / 2)?;
-    let mean = span.checked_div(u32::try_from(steps.len()).ok()?)?;
-    Some(if median.is_zero() { mean } else { median }).filter(|step| !step.is_zero())
-}
-
-/// Leaves the longest row of rising times and takes the others out: files copied later, or back.
-fn keep_rising(times: &mut [Option<UtcMs>]) {
-    // Patience sorting: the last file of the best row of each length, and what stands before it.
-    let (mut ends, mut before): (Vec<usize>, Vec<Option<usize>>) =
-        (Vec::new(), vec![None; times.len()]);
-    for index in 0..times.len() {
-        let Some(time) = times[index] else { continue };
-        let length = ends.partition_point(|&end| times[end] < Some(time));
-        before[index] = length.checked_sub(1).map(|shorter| ends[shorter]);
-        if length == ends.len() { ends.push(index) } else { ends[length] = index }
-    }
-    let mut kept = vec![false; times.len()];
-    let mut at = ends.last().copied();
-    while let Some(index) = at {
-        kept[index] = true;
-        at = before[index];
-    }
-    times.iter_mut().zip(kept).filter(|(_, kept)| !kept).for_each(|(time, _)| *time = None);
-}
-
-/// Frames of one second, whose names tell no more, are spread over the time to the next one.
-fn spread(files: &mut [(PathBuf, String, UtcMs)]) {
-    let mut from = 0;
-    while from < files.len() {
-        let time = files[from].2;
-        let same = files[from..].iter().take_while(|(_, _, other)| *other == time).count();
-        let next = files.get(from + same).map(|(_, _, next)| next.saturating_since(time));
-        let room = next.unwrap_or(Duration::from_secs(1)).min(Duration::from_secs(1));
-        for (place, file) in files[from..from + same].iter_mut().enumerate().skip(1) {
-            file.2 = time.saturating_add(room.mul_f64(place as f64 / same as f64));
+/// Of several frames of one instant the first stays: a copy, or another camera's, would count again.
+/// Returns the time between two frames where some are left out.
+fn one_of_each(files: &mut Vec<(PathBuf, String, UtcMs)>) -> Option<Duration> {
+    let count = files.len();
+    let mut times: Vec<_> = files.iter().map(|(_, _, time)| *time).collect();
+    times.dedup();
+    let times: Vec<_> = times.into_iter().map(Some).collect();
+    let step = median_step(&times)?;
+    let mut first_out = None;
+    files.dedup_by(|(_, name, time), (_, _, before)| {
+        let is_out = time == before && is_one_instant(*time, step);
+        if is_out {
+            first_out.get_or_insert_with(|| shown(name));
         }
-        from += same;
-    }
+        is_out
+    });
+    log::warn!(
+        "{} of {count} files are left out, for others have the same time: {} and so on",
+        count - files.len(),
+        first_out?
+    );
+    Some(step)
 }
 
 fn written_at(path: &Path) -> Option<UtcMs> {

@@ -51,7 +51,7 @@ fn folders_by_day_are_one_recording() {
         "2026-01-05/23-59-55.jpg",
         "2026-01-06/00-00-00.jpg",
         ".cache/2026-01-01_00-00-00.jpg",
-        "thumbs/2026-01-06_00-00-05.jpg",
+        "thumbs/2026-01-06_00-00-10.jpg",
     ]);
     // Nothing lies in the folder itself: all of its folders count but the hidden one.
     assert_eq!(recorded.frames(), 4);
@@ -73,6 +73,31 @@ fn frames_of_one_second_share_it() {
     ]);
     let times: Vec<_> = seconds(&recorded).into_iter().map(|(_, time)| time).collect();
     assert_eq!(times, [0.0, 0.5, 1.0, 1.5]);
+}
+
+#[test]
+fn of_frames_of_one_instant_the_first_counts() {
+    // Several of one second are a stream's where others come as fast; here one comes each 10 s.
+    let (_folder, recorded) = recording(&[
+        "20260105T080000Z.jpg",
+        "20260105T080000Z_copy.jpg",
+        "20260105T080010Z.jpg",
+        "20260105T080020Z.jpg",
+        "b/20260105T080020Z.jpg",
+        "20260105T080020Z_2.jpg",
+    ]);
+    let times: Vec<_> = seconds(&recorded).into_iter().map(|(_, time)| time).collect();
+    assert_eq!(times, [0.0, 10.0, 20.0]);
+    // A name that tells fractions of a second tells the instant.
+    let (_folder, recorded) = recording(&[
+        "20260105T080000.250Z.jpg",
+        "20260105T080000.250Z_copy.jpg",
+        "20260105T080000.750Z.jpg",
+        "20260105T080001.250Z.jpg",
+    ]);
+    let times: Vec<_> = seconds(&recorded).into_iter().map(|(_, time)| time).collect();
+    assert_eq!(times, [0.0, 0.5, 1.0]);
+    assert_eq!(recorded.interval(), Duration::from_millis(500));
 }
 
 #[test]

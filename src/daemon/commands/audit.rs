@@ -3,8 +3,8 @@
 //! Owns the order: the recording goes through the line as it would be measured, so that scene and
 //! empty road are what they are on the road; then frames are chosen, or counted ones are compared.
 
-use super::ModelArgs;
 use super::playback::walk;
+use super::{ModelArgs, print};
 use crate::daemon::assemble::{line_settings, open_frames};
 use crate::daemon::audit::{
     Answers, Candidate, Counted, FORMAT, LEAST_FRAMES, SHEET, SiteFile, choose, fit, template,
@@ -98,8 +98,7 @@ fn choose_frames(args: &Args, mut line: Line) -> Result<(), Failure> {
     }
     let chosen: Vec<&str> = chosen.iter().map(|&n| candidates[n].name.as_str()).collect();
     let Some(folder) = &args.sheet else {
-        chosen.iter().for_each(|name| println!("{name}"));
-        return Ok(());
+        return chosen.iter().try_for_each(|name| print(name));
     };
     let failed = |source| Failure::Write { path: folder.clone(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;
@@ -128,8 +127,7 @@ fn choose_frames(args: &Args, mut line: Line) -> Result<(), Failure> {
     let mut file = WholeFile::create(&counts)?;
     file.line(template(chosen.iter().copied(), &lanes).trim_end())?;
     file.finish()?;
-    println!("{}: fill in {} frames", counts.display(), chosen.len());
-    Ok(())
+    print(&format!("{}: fill in {} frames", counts.display(), chosen.len()))
 }
 
 /// Compares what people have counted with what the line counts, and writes the site's file.
@@ -178,11 +176,10 @@ fn learn(
     let inputs = [Some(counts), args.table.as_deref(), args.config.as_deref()];
     file.write(out, &inputs.into_iter().flatten().collect::<Vec<_>>())?;
     if args.json {
-        println!("{}", told_json(&file, stated, &frames, &scores));
+        print(&told_json(&file, stated, &frames, &scores))
     } else {
-        println!("{}", told(&file, stated, out));
+        print(&told(&file, stated, out))
     }
-    Ok(())
 }
 
 /// A frame counted twice; `None` where the line does not measure it.

@@ -5,7 +5,7 @@
 
 #[cfg(feature = "desk")]
 use super::compare;
-use super::{ModelArgs, recording};
+use super::{ModelArgs, print, recording};
 use crate::daemon::assemble::open_endless;
 use crate::daemon::clock;
 use crate::daemon::config::Views;
@@ -23,6 +23,8 @@ use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+/// Most frames: three hours at 100 a second.
+const MOST_FRAMES: usize = 1_000_000;
 /// Look-ups that are timed together.
 const LOOK_UPS: u32 = 1_000_000;
 
@@ -41,7 +43,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     views: Views,
     /// Frames to measure, after as many again to warm up
-    #[arg(long, value_name = "N", default_value_t = 50)]
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = count)]
     count: usize,
     /// Run ONNX Runtime (python3 with the package onnxruntime) on the same model and picture
     #[cfg(feature = "desk")]
@@ -49,12 +51,20 @@ pub struct Args {
     compare_onnxruntime: bool,
 }
 
+/// Reads a number of frames.
+fn count(text: &str) -> Result<usize, &'static str> {
+    text.parse().ok().filter(|count| (1..=MOST_FRAMES).contains(count)).ok_or("give 1 to 1000000")
+}
+
 pub fn run(args: &Args) -> Result<(), Failure> {
     let started = Instant::now();
     let (frames, table) = match (&args.frames, &args.table) {
         (Some(frames), Some(table)) => (frames.clone(), table.clone()),
         _ => {
-            let recording = recording::find()?;
+            let recording = recording::find(
+                "bench without --frames and --table",
+                "name a recording of yours and its lane table, or run it in the project's folder",
+            )?;
             (recording.frames.into(), recording.table.into())
         }
     };
@@ -73,8 +83,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     for _ in 0..args.count {
         bench.turn()?;
     }
-    let turns: Vec<Times> =
-        (0..args.count.max(1)).map(|_| bench.turn()).collect::<Result<_, _>>()?;
+    let turns: Vec<Times> = (0..args.count).map(|_| bench.turn()).collect::<Result<_, _>>()?;
     let median = |pick: fn(&Times) -> Duration| median_ms(turns.iter().map(pick));
     let peak_rss = peak_rss_mb();
     let preset = bench.station.line().preset();
@@ -97,19 +106,18 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut detector = Detector::load(&args.model.model, args.model.score)?;
     detector.prepare(&bench.station.frame().picture, 0);
     let share = |share: Share| json!({"by": share.by, "share": round(share.of_time)});
-    report["net"] = detector.shares(args.count.max(1))?.into_iter().map(share).collect();
+    report["net"] = detector.shares(args.count)?.into_iter().map(share).collect();
     #[cfg(feature = "desk")]
     if args.compare_onnxruntime {
         let picture = bench.station.frame().picture.clone();
         let model = args.model.model.clone();
         let frame = || bench.turn().map(drop);
-        let compared = compare::compare(&model, &picture, args.count.max(1), frame)?;
+        let compared = compare::compare(&model, &picture, args.count, frame)?;
         if let (Value::Object(report), Value::Object(compared)) = (&mut report, compared) {
             report.extend(compared);
         }
     }
-    println!("{report:#}");
-    Ok(())
+    print(&format!("{report:#}"))
 }
 
 /// A recording that is played in a loop through the line, with a watch at its side.

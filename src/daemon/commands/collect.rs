@@ -13,6 +13,8 @@ use crate::daemon::output::WholeFile;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use verge_desk::sysexits::USAGE;
+use verge_desk::{Exit, say};
 
 /// Quality of the pictures' JPEG.
 const QUALITY: u8 = 95;
@@ -58,7 +60,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         address => address.to_owned(),
     };
     let failed = |source| Failure::Write { path: args.frames.clone(), source };
-    let mut source = Source::open(camera_at(address.trim(), args.interval)?)?;
+    let camera = camera_at(address.trim(), args.interval).map_err(reworded)?;
+    let mut source = Source::open(camera)?;
     std::fs::create_dir_all(&args.frames).map_err(failed)?;
     let (begun, mut frame) = (Instant::now(), Frame::default());
     let (mut next, mut collected) = (begun, 0_usize);
@@ -76,12 +79,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             }
             Ok(Captured::Unchanged) => unchanged += 1,
             Ok(Captured::End) => break,
-            Err(fault) if collected == 0 => return Err(fault.into()),
+            Err(fault) if collected == 0 => return Err(reworded(fault.into())),
             Err(fault) => {
                 failed += 1;
-                let fault = fault.to_string();
+                let fault = without_keys(&fault.to_string());
                 if fault != said {
-                    eprintln!("verge: {fault}");
+                    say(&format!("verge: {fault}"));
                     said = fault;
                 }
             }
@@ -94,14 +97,50 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         }
     }
     if unchanged + failed > 0 {
-        eprintln!(
+        say(&format!(
             "verge: {collected} pictures saved to {} from {} requests; {unchanged} repeated the previous \
              picture, {failed} failed",
             args.frames.display(),
             collected + unchanged + failed
-        );
+        ));
     }
     Ok(())
+}
+
+/// Keys of a configuration in what cameras and addresses have wrong, and what stands for them where
+/// there is none.
+const WITHOUT_KEYS: [(&str, &str); 7] = [
+    (
+        "go into camera.user and camera.password_file, or, in the address, with",
+        "stand in front of the host (user:password@host), with",
+    ),
+    (", or use camera.user and camera.password_file", ""),
+    (
+        "set camera.user and camera.password_file",
+        "write it into the address, as user:password@ in front of the host",
+    ),
+    ("check camera.user and camera.password_file", "check user:password@ in the address"),
+    (", or allow the host in camera.redirect_hosts", ""),
+    ("camera.interval_s", "--interval"),
+    (
+        "write it into camera.fingerprint, or save the certificate and name it in camera.ca_file",
+        "`verge run` takes it (fingerprint or ca_file under [camera]); collect by an address without \
+         TLS",
+    ),
+];
+
+/// A fault in words without keys of a configuration.
+fn without_keys(fault: &str) -> String {
+    WITHOUT_KEYS.iter().fold(fault.to_owned(), |text, (key, plain)| text.replace(key, plain))
+}
+
+fn reworded(failure: Failure) -> Failure {
+    let code = match &failure {
+        // The address is an argument.
+        Failure::Config(_) => USAGE,
+        other => other.exit_code(),
+    };
+    Failure::Reworded { reason: without_keys(&failure.to_string()), code }
 }
 
 /// Saves a picture under its time; returns the name.
@@ -114,4 +153,31 @@ fn save(frame: &Frame, folder: &Path) -> Result<String, Failure> {
     file.bytes(&bytes)?;
     file.finish()?;
     Ok(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::address::AddressError;
+    use crate::daemon::capture::Fault;
+
+    #[test]
+    fn no_fault_names_a_key_that_the_command_does_not_have() {
+        let status = |status| Fault::Status { protocol: "HTTP", status };
+        for fault in [
+            Fault::LoginWanted,
+            Fault::LoginRefused { user: "box".into() },
+            Fault::RedirectedAway { host: "elsewhere".into() },
+            status(401),
+            status(403),
+            status(429),
+        ] {
+            let said = without_keys(&fault.to_string());
+            assert!(!said.contains("camera."), "{said}");
+        }
+        for error in [AddressError::Port, AddressError::Fragment] {
+            let said = without_keys(&error.to_string());
+            assert!(!said.contains("camera.") && said.contains("%23"), "{said}");
+        }
+    }
 }

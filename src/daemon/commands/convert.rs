@@ -124,7 +124,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             Ok((text, _)) => output.line(&text),
             Err(reason) => {
                 bad += 1;
-                eprintln!("verge: {}: line {line}: {reason}", name.display());
+                verge_desk::say(&format!("verge: {}: line {line}: {reason}", name.display()));
                 Ok(())
             }
         }
@@ -162,10 +162,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     output.finish()?;
     let name = name.display();
     if others > 0 {
-        eprintln!("verge: {name}: {others} of other kinds (health, alarm, presence) left out");
+        let kinds = "of other kinds (health, alarm, presence) left out";
+        verge_desk::say(&format!("verge: {name}: {others} {kinds}"));
     }
     if count == 0 {
-        eprintln!("verge: {name}: no density message in it");
+        verge_desk::say(&format!("verge: {name}: no density message in it"));
     }
     if bad > 0 { Err(Failure::Messages { bad, count }) } else { Ok(()) }
 }

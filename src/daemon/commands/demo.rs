@@ -28,7 +28,7 @@ const ROOT: &str = "verge/demo";
 
 pub fn run() -> Result<(), Failure> {
     let started = Instant::now();
-    let recording = recording::find()?;
+    let recording = recording::find("the demo", "run it in the project's folder")?;
     let model = places::find(Path::new(""), DEFAULT_MODEL.as_ref());
     let settings = LineSettings::recorded(recording.table.as_ref(), &model);
     let windows = WindowSettings::recorded(WINDOW);

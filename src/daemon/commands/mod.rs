@@ -21,8 +21,10 @@ mod text;
 pub mod view;
 
 use super::config::{DEFAULT_MODEL, NetInput};
+use super::exit::Failure;
 use super::places;
 use std::convert::Infallible;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 /// The model to use.
@@ -37,6 +39,15 @@ pub struct ModelArgs {
     /// The net's input: auto, as the size of the cars asks for, or columns and rows such as 800x608
     #[arg(long, value_name = "auto|WxH", default_value = "auto")]
     input: NetInput,
+}
+
+/// Prints a line. A reader that has gone away (`| head`) ends the program in silence.
+fn print(line: &str) -> Result<(), Failure> {
+    match writeln!(std::io::stdout(), "{line}") {
+        Ok(()) => Ok(()),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => std::process::exit(0),
+        Err(source) => Err(Failure::Write { path: Path::new("standard output").into(), source }),
+    }
 }
 
 /// Reads a score.

@@ -1,5 +1,6 @@
 //! `verge node`: an I/O node's settings and counters over its serial line.
 
+use super::print;
 use crate::daemon::exit::Failure;
 use crate::daemon::foreign::shown;
 use crate::daemon::plain;
@@ -104,8 +105,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             return Err(Failure::NodeSettings { path: None, reason: reason.into() });
         }
     };
-    print!("{text}");
-    Ok(())
+    print(text.trim_end())
 }
 
 fn toml_of(value: &impl Serialize) -> String {

@@ -157,17 +157,16 @@ impl Player {
     }
 
     fn note(&mut self, fault: &Failure) {
-        let (name, fault) = (self.frame.name.clone(), fault.to_string());
-        let what = fault.strip_prefix(&format!("{name}: ")).unwrap_or(&fault);
+        let what = fault.of_any_picture();
         match &mut self.repeated {
-            Some((said, more)) if said == what => *more += 1,
+            Some((said, more)) if *said == what => *more += 1,
             _ => {
                 self.tell_repeated();
-                log::warn!("frame {name} is left out: {what}");
-                self.repeated = Some((what.to_owned(), 0));
+                log::warn!("frame {} is left out: {what}", self.frame.name);
+                self.repeated = Some((what, 0));
             }
         }
-        self.first_fault.get_or_insert(fault);
+        self.first_fault.get_or_insert_with(|| fault.to_string());
     }
 
     /// Says how many frames had the fault that was logged last, and forgets it.

@@ -16,12 +16,11 @@ pub struct Recording {
 const CURVE: Recording =
     Recording { frames: "tests/data/curve/frames", table: "tests/data/curve.lut" };
 
-const HINT: &str = "run it in the project's folder";
-
-/// The recording, if it is there.
-pub fn find() -> Result<Recording, Failure> {
+/// The recording, if it is there; `needed_by` says for whom, `hint` what to do where it is not.
+pub fn find(needed_by: &'static str, hint: &'static str) -> Result<Recording, Failure> {
     if Path::new(CURVE.frames).is_dir() && Path::new(CURVE.table).is_file() {
         return Ok(CURVE);
     }
-    Err(Failure::DemoFiles { what: format!("{} and {}", CURVE.frames, CURVE.table), hint: HINT })
+    let what = format!("{} and {}", CURVE.frames, CURVE.table);
+    Err(Failure::DemoFiles { needed_by, what, hint })
 }

@@ -1,10 +1,10 @@
 //! `verge replay`: density in recorded frames, the same bytes each time.
 
 use super::playback::{Played, play};
-use super::{ModelArgs, text};
+use super::{ModelArgs, print, text};
 use crate::daemon::assemble::open_recording;
 use crate::daemon::audit::SHEET;
-use crate::daemon::config::Views;
+use crate::daemon::config::{ConfigError, Views};
 use crate::daemon::dates::Dates;
 use crate::daemon::exit::Failure;
 use crate::daemon::frame::Frame;
@@ -12,10 +12,10 @@ use crate::daemon::line::{Line, LineSettings};
 use crate::daemon::locate::Anchor;
 use crate::daemon::output::WholeFile;
 use crate::daemon::presets::{Following, TableSettings, WindowSettings};
-use crate::density::LaneReport;
+use crate::density::{LaneReport, check_lengths};
 use crate::track::rate::DEFAULT_TOP_KMH;
 use crate::units::LaneId;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -37,11 +37,11 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     /// Window length, s
-    #[arg(long, value_name = "S", default_value_t = 900)]
-    window: u64,
+    #[arg(long, value_name = "S", default_value = "900", value_parser = window)]
+    window: Duration,
     /// Time between frames, s [default: from names, file times, else 120]
-    #[arg(long, value_name = "S")]
-    interval: Option<f64>,
+    #[arg(long, value_name = "S", value_parser = interval, allow_hyphen_values = true)]
+    interval: Option<Duration>,
     /// Highest speed that is driven there, km/h: it decides how many pictures flow and speed need
     #[arg(long, value_name = "KMH", default_value_t = DEFAULT_TOP_KMH, value_parser = top_speed)]
     top_speed: f32,
@@ -82,17 +82,18 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         audit: args.audit.clone(),
         views: args.views,
     };
-    let windows = WindowSettings::recorded(Duration::from_secs(args.window));
-    let interval = args.interval.map(|s| Duration::try_from_secs_f64(s).unwrap_or_default());
+    let windows = WindowSettings::recorded(args.window);
     let (recorded, mut line, windows) = open_recording(
         &settings,
         &windows,
         &args.frames,
-        interval,
+        args.interval,
         (args.utc_offset, args.dates),
         args.top_speed,
-    )?;
-    line.set_sections(args.section.iter().copied())?;
+    )
+    .map_err(of_the_command_line)?;
+    line.set_sections(args.section.iter().copied())
+        .map_err(|error| of_the_command_line(error.into()))?;
     if let Following::TooSeldom { .. } | Following::TooShort { .. } = line.following() {
         // A recording of snapshots is not meant for more, one of a stream may be.
         let is_stream = recorded.interval() <= Duration::from_secs(2);
@@ -175,6 +176,41 @@ impl<'a> Overlays<'a> {
     }
 }
 
+/// What a configuration would have wrong is here the command line's.
+fn of_the_command_line(failure: Failure) -> Failure {
+    match failure {
+        Failure::Config(ConfigError::Camera { key, reason }) => {
+            let argument = match key {
+                "traffic.section_m" => "--section",
+                "model.input" => "--input",
+                other => other,
+            };
+            Failure::Usage(format!("{argument}: {reason}"))
+        }
+        Failure::Aggregate(reason) => Failure::Usage(format!("--window: {reason}")),
+        other => other,
+    }
+}
+
+/// Reads a window's length, s.
+fn window(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().map_err(|_| "give whole seconds".to_owned())?;
+    let window = Duration::from_secs(seconds);
+    check_lengths(&[window], Duration::ZERO).map_err(|reason| reason.to_string())?;
+    Ok(window)
+}
+
+/// Longest time between two frames, s: a day.
+const LONGEST_INTERVAL_S: f64 = 86_400.0;
+
+/// Reads a time between frames, s.
+fn interval(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().ok().filter(|s| (0.001..=LONGEST_INTERVAL_S).contains(s));
+    seconds
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| format!("give 0.001 to {LONGEST_INTERVAL_S} s"))
+}
+
 /// Reads a speed, km/h.
 fn top_speed(text: &str) -> Result<f32, String> {
     let speed = text.parse().ok().filter(|kmh| (10.0..=300.0).contains(kmh));
@@ -191,13 +227,4 @@ fn section(text: &str) -> Result<(LaneId, f32), String> {
 fn utc_offset(text: &str) -> Result<i32, String> {
     crate::daemon::assemble::utc_offset_s(text)
         .ok_or_else(|| "give it as +01:00, -0530 or Z".to_owned())
-}
-
-/// Prints a line. A reader that has gone away (`| head`) ends the program in silence.
-fn print(line: &str) -> Result<(), Failure> {
-    match writeln!(std::io::stdout(), "{line}") {
-        Ok(()) => Ok(()),
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => std::process::exit(0),
-        Err(source) => Err(Failure::Write { path: Path::new("standard output").into(), source }),
-    }
 }

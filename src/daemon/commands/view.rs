@@ -5,6 +5,7 @@
 //! has one, and its counts go nowhere.
 
 use super::check::{folders, withheld};
+use super::print;
 use crate::daemon::address::masked;
 use crate::daemon::assemble::{camera, open_line};
 use crate::daemon::capture::jpeg;
@@ -72,11 +73,11 @@ pub fn run(path: &Path, port: u16) -> Result<(), Failure> {
     let station = Station::open(camera, line)?;
     let loopback = Loopback::bind(port).map_err(Failure::Page)?;
     let shown = Mutex::new(Shown::default());
-    println!("{}", loopback.address());
-    eprintln!(
+    print(&loopback.address())?;
+    verge_desk::say(
         "open this address in a browser; elsewhere, go through `ssh -L PORT:127.0.0.1:PORT`. The \
          camera is asked a second time beside `verge run`, while the page is open; nothing is \
-         published. Ctrl-C ends the view"
+         published. Ctrl-C ends the view",
     );
     let source = masked(&config.camera.source);
     std::thread::scope(|scope| {

@@ -58,6 +58,18 @@ impl Config {
                 format!("lanes {}: give numbers from 1 to {MAX_LANES}", lanes.join(", "))
             },
         )?;
+        let tables = &self.lane_table;
+        let is_main = tables.presets.contains(&tables.file);
+        known(!is_main, "lane_table.presets", {
+            let file = shown(&tables.file.display().to_string());
+            format!("{file} is already lane_table.file: name the tables of the other presets alone")
+        })?;
+        let twice = tables.presets.iter().enumerate();
+        let mut twice = twice.filter(|(at, file)| tables.presets[..*at].contains(file));
+        if let Some((_, file)) = twice.next() {
+            let file = shown(&file.display().to_string());
+            return Err(("lane_table.presets", format!("{file} twice: leave one out")));
+        }
         known(
             self.lane_table.presets.is_empty() || self.camera.watch,
             "lane_table.presets",

@@ -237,7 +237,7 @@ impl Config {
                     reason: disk::unread(&error).to_string(),
                 })?;
             let reason = |reason| wrong("camera.ca_file", format!("{}: {reason}", path.display()));
-            return Trust::certificates(&file).map_err(reason);
+            return Trust::certificates(path, &file).map_err(reason);
         }
         match fingerprint {
             Some(text) => Trust::fingerprint(text).map_err(|e| wrong("camera.fingerprint", e)),

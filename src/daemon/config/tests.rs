@@ -63,6 +63,8 @@ fn wrong_keys_and_values_are_named() {
         ("#views = \"whole\"", "views = \"near\"", "near"),
         ("#watch = true", "watch = \"yes\"", "watch"),
         ("#presets = []", "presets = \"b.lut\"", "presets"),
+        ("#presets = []", "presets = [\"b.lut\", \"k109f.lut\"]", "already lane_table.file"),
+        ("#presets = []", "presets = [\"b.lut\", \"b.lut\"]", "b.lut twice"),
         ("#min_completeness = 0.75", "min_completeness = 75", "windows.min_completeness"),
         ("#format = \"json\"", "format = \"xml\"", "xml"),
         ("#ca_file =", "ca_file =", "mqtt.tls"),

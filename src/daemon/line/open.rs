@@ -8,6 +8,7 @@ use crate::daemon::config::{ConfigError, NetInput, Views};
 use crate::daemon::detect::regions::{Cars, Parts};
 use crate::daemon::detect::{Detector, LoadOptions};
 use crate::daemon::exit::Failure;
+use crate::daemon::locate::LocateError;
 use crate::daemon::presets::{Following, Preset, Presets, TableSettings};
 use crate::daemon::scene::Scene;
 use crate::daemon::vehicles::{self, Vehicles};
@@ -69,6 +70,19 @@ impl LineSettings {
     }
 }
 
+/// Whether each preset, of these files, has a pose of its own.
+fn distinct(presets: &Presets, files: &[PathBuf]) -> Result<(), LocateError> {
+    let poses: Vec<_> = presets.iter().map(|preset| preset.table().calibration_sha256).collect();
+    let same = |at: usize| poses[..at].iter().position(|pose| *pose == poses[at]);
+    match (0..poses.len()).find_map(|at| Some((at, same(at)?))) {
+        Some((at, before)) => {
+            let [path, other] = [at, before].map(|n| files[n].clone());
+            Err(LocateError::SamePose { path, other })
+        }
+        None => Ok(()),
+    }
+}
+
 impl Line {
     /// Loads model and tables.
     ///
@@ -76,6 +90,7 @@ impl Line {
     /// [`Failure`] names the file that is missing or wrong.
     pub fn open(settings: &LineSettings) -> Result<Self, Failure> {
         let mut presets = Presets::load(&settings.tables)?;
+        distinct(&presets, &settings.tables.files)?;
         let references = presets.references()?;
         let judging = settings.judging;
         let scene = (judging != Judging::Off).then(|| Scene::new(references));

@@ -248,6 +248,11 @@ impl Publisher {
         self.state(Topic::Alarm(alarm.name), verge_messages::json(alarm));
     }
 
+    /// Takes back the latest window of this length, of which there are no more.
+    pub fn forget_latest(&self, length: Duration) {
+        self.state(Topic::Latest(length), Vec::new());
+    }
+
     /// Announces the sensor's values to Home Assistant; the broker keeps it.
     pub fn announce(&self, announcement: home_assistant::Announcement) {
         let home_assistant::Announcement { topic, payload } = announcement;

@@ -31,8 +31,8 @@ pub struct Hands {
     known: Announced,
     /// The session in which it was announced.
     announced: Option<u64>,
-    /// The latest fault, until a picture is measured.
-    last_fault: Option<String>,
+    /// The latest fault without and with the picture's name, until a picture is measured.
+    last_fault: Option<(String, String)>,
     /// Advice for a camera that is slower than it is asked.
     slow: Option<String>,
     /// Why the latest new configuration was refused.
@@ -136,17 +136,17 @@ impl Hands {
         }
     }
 
-    /// Says a fault when it is another than the last: once, not with every frame. A fault of
-    /// the program is logged each time.
+    /// Says a fault when it is another than the last, whichever picture has it: once, not with every
+    /// frame. A fault of the program is logged each time.
     pub fn note_fault(&mut self, fault: &Failure) {
         if matches!(fault, Failure::Stage(_)) {
             log::error!("{fault}");
         }
-        let text = fault.to_string();
-        if self.last_fault.as_ref() != Some(&text) {
+        let (kind, text) = (fault.of_any_picture(), fault.to_string());
+        if self.last_fault.as_ref().is_none_or(|(last, _)| *last != kind) {
             log::warn!("no measurement: {text}");
-            self.last_fault = Some(text);
         }
+        self.last_fault = Some((kind, text));
     }
 
     /// The camera is slower than it is asked, and what to do about it, or it is not. It stands in the
@@ -163,10 +163,14 @@ impl Hands {
         self.refused = reason.map(|failure| format!("reload refused: {failure}"));
     }
 
-    /// The present fault: of the pictures first, then of their number, else of a new configuration.
+    /// The present fault: of the pictures first, then of the disk, then of the pictures' number, else of
+    /// a new configuration.
     pub fn fault(&self) -> Option<&str> {
-        let faults = [&self.last_fault, &self.slow, &self.refused];
-        faults.into_iter().find_map(Option::as_deref)
+        let pictures = self.last_fault.as_ref().map(|(_, text)| text.as_str());
+        pictures
+            .or_else(|| self.outlet.fault())
+            .or(self.slow.as_deref())
+            .or(self.refused.as_deref())
     }
 
     /// Days until the first certificate in use ends.
@@ -222,10 +226,19 @@ impl Hands {
         self.known.cleared(&cleared, &self.announcements);
     }
 
-    /// Announcements follow another configuration.
+    /// Announcements follow another configuration. Of windows that it no longer has, nothing stays in the
+    /// metrics and at the broker.
     pub fn change(&mut self, before: &Config, config: &Config, line: &Line) {
+        let lengths = config.window_lengths();
         if before.metrics.file != config.metrics.file {
             self.metrics = config.metrics.file.as_deref().map(Metrics::new);
+        } else if let Some(metrics) = &mut self.metrics {
+            metrics.keep(&lengths);
+        }
+        let is_kept = |length: &Duration| config.mqtt.latest && lengths.contains(length);
+        if before.mqtt.latest {
+            let given_up = before.window_lengths().into_iter().filter(|length| !is_kept(length));
+            given_up.for_each(|length| self.outlet.publisher().forget_latest(length));
         }
         self.announcements = announcements(config, line);
         self.longest = longest(config);

@@ -157,6 +157,8 @@ pub struct Spool {
     /// The numbers' second place; `None` while it cannot be had.
     numbers: Option<Numbers>,
     counts: SpoolCounts,
+    /// Why the disk takes no windows, in words, until it takes one again.
+    fault: Option<String>,
     /// Whether a failed read of the disk was logged.
     unreadable_said: bool,
     /// Held for the life of the spool.
@@ -178,7 +180,8 @@ impl Spool {
         spool.lock = lock(folder)?;
         match made.map_err(SpoolError::Disk).and_then(|()| spool.recover(folder)) {
             Err(SpoolError::Disk(error)) => {
-                log::error!("spool {}: {}; {IN_MEMORY}", folder.display(), disk::unwritten(&error));
+                let fault = spool.note_refusal(&error);
+                log::error!("{fault}");
             }
             outcome => outcome?,
         }
@@ -206,6 +209,7 @@ impl Spool {
             floor: 0,
             numbers: None,
             counts: SpoolCounts::default(),
+            fault: None,
             unreadable_said: false,
             lock: None,
         }
@@ -275,6 +279,11 @@ impl Spool {
             in_memory: self.in_memory_count() as u64,
             ..self.counts
         }
+    }
+
+    /// Why windows are in memory alone, and what to do; `None` while the disk takes them.
+    pub fn fault(&self) -> Option<&str> {
+        self.fault.as_deref()
     }
 
     /// How many windows only the memory holds: the newest, for they are saved in their order.

@@ -34,6 +34,7 @@ impl Spool {
         self.make_room(key, bytes.len() + MAX_KEYS * 8 + 9)?;
         self.write_taken(&mut bytes);
         let (segment, offset) = self.append(&bytes)?;
+        self.fault = None;
         // Making room may have removed older ones.
         if let Some(index) = self.find(key) {
             self.entries[index].place = Place::Disk { segment, offset };
@@ -165,11 +166,19 @@ impl Spool {
 
     /// The disk has refused: nothing more goes into this segment.
     pub(super) fn refuse(&mut self, error: &io::Error) {
+        let fault = self.note_refusal(error);
         if self.writable || self.in_memory_count() == 1 {
-            let folder = self.folder.as_deref().unwrap_or(Path::new("")).display();
-            log::error!("spool {folder}: {}; {IN_MEMORY}", disk::unwritten(error));
+            log::error!("{fault}");
         }
         self.writable = false;
+    }
+
+    /// Keeps in words that windows are in memory alone, and says them.
+    pub(super) fn note_refusal(&mut self, error: &io::Error) -> String {
+        let folder = self.folder.as_deref().unwrap_or(Path::new("")).display();
+        let fault = format!("spool {folder}: {}; {IN_MEMORY}", disk::unwritten(error));
+        self.fault = Some(fault.clone());
+        fault
     }
 
     /// Removes segments in which nothing waits, from the oldest on: a later one may hold

@@ -206,11 +206,15 @@ fn a_disk_that_refuses_costs_nothing_until_it_is_back() {
     // A file where the folder should be: nothing can be made in it.
     std::fs::write(&path, "in the way").expect("writing a file");
     let mut spool = Spool::open(&path, WEEK).expect("nobody else has it");
+    let said = |spool: &Spool| spool.fault().is_some_and(|fault| fault.contains("in its way"));
+    assert!(said(&spool), "before the first window: {:?}", spool.fault());
     accept(&mut spool, 60);
     accept(&mut spool, 60);
     assert_eq!((spool.counts().in_memory, spool.counts().waiting), (2, 2));
+    assert!(said(&spool), "{:?}", spool.fault());
     std::fs::remove_file(&path).expect("removing it");
     accept(&mut spool, 60);
+    assert_eq!(spool.fault(), None);
     assert_eq!((spool.counts().in_memory, spool.counts().waiting), (0, 3));
     drop(spool);
     let mut spool = Spool::open(&path, WEEK).expect("nobody else has it");

@@ -276,7 +276,7 @@ export class Desk {
     this.stage.loupe = this.magnifier && this.tools.length > 0;
     this.renderHint();
     this.renderBackdrops();
-    fill(byId("panel"), this.draftCard(), this.movedCard(), this.siteProblem(), ...this.step.panel(this));
+    fill(byId("panel"), this.asideCard(), this.draftCard(), this.movedCard(), this.siteProblem(), ...this.step.panel(this));
     fill(
       byId("legend"),
       ...(look?.dots.length && this.step === road.step
@@ -323,6 +323,12 @@ export class Desk {
   siteProblem() {
     const { problem } = this.site;
     return problem && el("div", { class: "card bad" }, el("b", { text: "This site cannot be saved. " }), problem);
+  }
+
+  /** What became of a drawing on other pictures that was not saved. */
+  asideCard() {
+    const { aside } = this.site;
+    return aside && el("div", { class: "card fair", id: "aside", text: aside });
   }
 
   /** The page began with what was drawn before and not saved. */

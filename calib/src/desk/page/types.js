@@ -135,6 +135,7 @@
  * @property {boolean} saved whether exactly this drawing is saved
  * @property {number} version
  * @property {boolean} draft whether the drawing is one that was not saved
+ * @property {string | null} aside what became of a drawing on other pictures that was not saved
  * @property {Shift | null} moved
  * @property {string | null} problem
  * @property {{name: string, what: string, pitch_m: number}[]} standards

@@ -15,6 +15,29 @@ const BEGINS: &str = "a camera's begins with http://, https://, mjpeg+http://, m
 const LOGIN: &str = "it holds a user or a password, and would be written where others may read it: leave \
     them out here, and put them into camera.user and camera.password_file of verge.toml";
 
+/// The same of one in its query.
+const IN_QUERY: &str = "it holds a user or a password behind its path, and would be written where others may \
+    read it: leave them out here, and try camera.user and camera.password_file of verge.toml; where the \
+    camera takes them in the address alone, write that into verge.toml by hand, which saving keeps";
+/// Names that cameras have for a password in the query.
+const SECRETS: [&str; 15] = [
+    "pwd",
+    "password",
+    "passwd",
+    "pass",
+    "pw",
+    "psw",
+    "passcode",
+    "passphrase",
+    "loginpas",
+    "userpwd",
+    "auth",
+    "token",
+    "apikey",
+    "api_key",
+    "secret",
+];
+
 /// A camera that can be asked at once; its address may hold a login.
 ///
 /// # Errors
@@ -35,7 +58,7 @@ pub fn camera(text: &str) -> Result<(), String> {
 pub fn saved(text: &str, site: &Path) -> Result<(), String> {
     let text = text.trim();
     if text.contains("://") {
-        return if address(text)? { Err(LOGIN.into()) } else { Ok(()) };
+        return address(text)?.map_or(Ok(()), |login| Err(login.into()));
     }
     let is_folder = !text.starts_with("/dev/") && !text.contains(['?', '@']);
     if is_device(text) || (is_folder && site.join(text).is_dir()) {
@@ -49,8 +72,8 @@ fn is_device(text: &str) -> bool {
         && !text.contains(char::is_control)
 }
 
-/// Whether an address holds a login.
-fn address(text: &str) -> Result<bool, String> {
+/// Why an address may not be written, where it holds a login.
+fn address(text: &str) -> Result<Option<&'static str>, String> {
     if text.contains(char::is_control) {
         return Err("it holds a control character".into());
     }
@@ -66,9 +89,15 @@ fn address(text: &str) -> Result<bool, String> {
     };
     // A password with a # in it.
     if !login && fragment.contains('@') {
-        return Ok(true);
+        return Ok(Some(LOGIN));
     }
-    host(place).map(|()| login)
+    host(place)?;
+    let is_secret = |part: &str| {
+        let name = part.split_once('=').map_or("", |(name, _)| name).trim();
+        SECRETS.iter().any(|secret| name.eq_ignore_ascii_case(secret))
+    };
+    let in_query = || rest[end..].split(['?', '&', ';', '/']).any(is_secret);
+    Ok(if login { Some(LOGIN) } else { in_query().then_some(IN_QUERY) })
 }
 
 /// Checks a host and its port.

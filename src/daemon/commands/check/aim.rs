@@ -4,6 +4,7 @@
 
 use crate::daemon::assemble::{camera, open_line};
 use crate::daemon::capture::Source;
+use crate::daemon::commands::print;
 use crate::daemon::config::Config;
 use crate::daemon::exit::Failure;
 use crate::daemon::offset::Offset;
@@ -33,7 +34,7 @@ pub fn run(path: &Path) -> Result<(), Failure> {
     config.camera.interval_s = config.camera.interval_s.min(EACH.as_secs_f64());
     let source = Source::open(camera(&config, Some(&line))?)?;
     let mut station = Station::with(source, crate::daemon::frame::Frame::default(), line);
-    println!("until the camera has stood in place for {STEADY} pictures, or Ctrl-C:");
+    print(&format!("until the camera has stood in place for {STEADY} pictures, or Ctrl-C:"))?;
     let mut steady = 0;
     while steady < STEADY {
         let begun = Instant::now();
@@ -57,6 +58,5 @@ pub fn run(path: &Path) -> Result<(), Failure> {
         }
         std::thread::sleep(EACH.saturating_sub(begun.elapsed()));
     }
-    println!("the camera looks where it was calibrated");
-    Ok(())
+    print("the camera looks where it was calibrated")
 }

@@ -36,10 +36,12 @@ pub enum TlsError {
         expected: &'static str,
     },
     /// Certificates that do not fit.
-    #[error("mqtt.{key}: {reason}")]
+    #[error("mqtt.{key}{}: {reason}", file.as_ref().map_or(String::new(), |file| format!(" {}", file.display())))]
     Unfit {
         /// The key of the configuration that names them.
         key: &'static str,
+        /// The file that it names, where it names one.
+        file: Option<PathBuf>,
         /// The fault.
         reason: String,
     },
@@ -85,7 +87,11 @@ impl Tls {
     /// [`TlsError`] names the file and what is wrong with it.
     pub fn load(files: &TlsFiles) -> Result<Self, TlsError> {
         let (shown, mut ends) = (End::default(), Vec::new());
-        let unfit = |key, error: Error| TlsError::Unfit { key, reason: misfit(&error) };
+        let unfit = |key, file: Option<&PathBuf>, error: Error| TlsError::Unfit {
+            key,
+            file: file.cloned(),
+            reason: misfit(&error),
+        };
         let trust = match &files.ca {
             None => Trust::Public,
             Some(path) => {
@@ -97,10 +103,10 @@ impl Tls {
                 };
                 let file = plain::read(path, MAX_FILE)
                     .map_err(|error| wrong(disk::unread(&error).to_string()))?;
-                let trust = Trust::certificates(&file).map_err(wrong)?;
+                let trust = Trust::certificates(path, &file).map_err(wrong)?;
                 // Of a bundle most are other people's.
-                if let Trust::Certificates(found) = &trust
-                    && let [only] = found.as_slice()
+                if let Trust::Certificates(known) = &trust
+                    && let [only] = known.certificates.as_slice()
                 {
                     ends.extend(not_after(only));
                 }
@@ -110,10 +116,10 @@ impl Tls {
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let verifier = trust
             .verifier(Peer::Broker, &provider, shown.clone())
-            .map_err(|error| unfit("ca_file", error))?;
+            .map_err(|error| unfit("ca_file", files.ca.as_ref(), error))?;
         let config = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .map_err(|error| unfit("tls", error))?
+            .map_err(|error| unfit("tls", None, error))?
             .dangerous()
             .with_custom_certificate_verifier(verifier);
         let config = match &files.identity {
@@ -125,7 +131,7 @@ impl Tls {
                     .map_err(|error| unreadable("mqtt.key_file", key, &error, "a private key"))?;
                 config
                     .with_client_auth_cert(chain, key)
-                    .map_err(|error| unfit("certificate_file", error))?
+                    .map_err(|error| unfit("certificate_file", Some(certificate), error))?
             }
         };
         Ok(Self { config: Arc::new(config), digest: digest(files), shown, ends })

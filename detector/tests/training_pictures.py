@@ -81,7 +81,7 @@ class Pictures(unittest.TestCase):
 
     def test_no_vehicle_stays_that_others_hide(self):
         stock = paste.Stock(self.pictures)
-        name = paste.key(self.pictures[0])
+        name = road.name(self.pictures[0])
         box, kind, pixels, alpha = stock.vehicles[name][5]
         x0, y0, x1, y1 = box
         behind = np.array([[x0 + 4, y0 + 2, x1 - 4, y1 - 6]], np.float32)
@@ -109,8 +109,35 @@ class Pictures(unittest.TestCase):
             self.assertTrue((img[y0 + 1:y1 - 1, x0 + 1:x1 - 1] == before[y0 + 1:y1 - 1, x0 + 1:x1 - 1]).all(), seed)
         self.assertGreater(changed, 20)
         boxes = truth.copy()
-        paste.marks(self.pictures[3].read(), truth, np.random.default_rng(0))
+        _, covered = paste.marks(self.pictures[3].read(), truth, np.random.default_rng(0))
         self.assertTrue((truth == boxes).all())
+        self.assertEqual(covered.tolist(), [False])
+
+    def test_a_vehicle_that_words_cover_is_not_taught(self):
+        def block(img, truth, rng):
+            img[:] = 255
+
+        words, paste.burnt_words = paste.burnt_words, block
+        try:
+            covered = [paste.marks(self.pictures[3].read(), self.pictures[3].boxes,
+                                   np.random.default_rng(seed))[1][0] for seed in range(20)]
+        finally:
+            paste.burnt_words = words
+        self.assertIn(True, covered)
+        self.assertIn(False, covered)
+
+    def test_nothing_is_pasted_where_the_camera_looked_elsewhere(self):
+        moved = self.pictures[4]
+        img = moved.read()
+        cv2.imwrite(moved.path, np.roll(img, 90, 1)[::-1])
+        stock = paste.Stock(self.pictures)
+        self.assertEqual(len(stock), len(self.pictures) - 1)
+        same, truth, _, _ = stock.crowd(moved, moved.read(), *moved.targets(), np.random.default_rng(3))
+        self.assertTrue((same == moved.read()).all())
+        self.assertEqual(len(truth), 1)
+        for p in self.pictures[5:9]:
+            cv2.imwrite(p.path, np.roll(p.read(), 90, 1)[::-1])
+        self.assertEqual(len(paste.Stock(self.pictures)), 0)
 
     def test_a_window_depends_on_its_seed_alone(self):
         recipe = augment.Recipe((0.6, 2.5), 1.0, 1.0, paste.Stock(self.pictures))

@@ -57,8 +57,10 @@ def window(picture, rng, width, height, recipe, zoom):
     out[dy0:dy0 + ch, dx0:dx0 + cw] = img[sy0:sy0 + ch, sx0:sx0 + cw]
     shift = np.array([left, top] * 2, np.float32)
     truth, kinds, ignored = clip(truth - shift, kinds, ignored - shift, width, height)
-    if rng.random() < recipe.marks:
-        out = paste.marks(out, truth, rng)
+    if recipe.marks and rng.random() < recipe.marks:
+        out, covered = paste.marks(out, truth, rng)
+        ignored = np.concatenate([ignored, truth[covered]])
+        truth, kinds = truth[~covered], kinds[~covered]
     return out, truth, kinds, ignored
 
 

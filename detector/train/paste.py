@@ -11,7 +11,6 @@ import numpy as np
 
 import road
 
-ALIKE = 0.55  # correlation with the empty road below which the camera looked elsewhere
 SMALLEST = 8  # px of the stored picture: the shorter side of a vehicle that is cut out
 EDGE = 3  # px around a box that are cut out with it
 FILLED = 0.45  # part of the box that differs from the road, at least
@@ -24,15 +23,18 @@ class Stock:
     """What was cut out, by camera and light."""
 
     def __init__(self, pictures):
-        self.vehicles = {key(members[0]): list(cut_out(members)) for members in road.views(pictures)}
+        self.vehicles, self.still = {}, set()
+        for members, images, empty in road.cameras(pictures):
+            self.vehicles[road.name(members[0])] = list(cut_out(members, images, empty))
+            self.still.update(p.path for p in members)
 
     def __len__(self):
         return sum(len(v) for v in self.vehicles.values())
 
     def crowd(self, picture, img, truth, kinds, ignored, rng):
         """The picture with more vehicles, and its boxes, kinds and ignored boxes."""
-        known = self.vehicles.get(key(picture))
-        if not known:
+        known = self.vehicles.get(road.name(picture))
+        if not known or picture.path not in self.still:
             return img, truth, kinds, ignored
         img, hidden = img.copy(), np.zeros(len(truth))
         touching = rng.random() < 0.6
@@ -51,7 +53,8 @@ class Stock:
             for front in truth[(truth[:, 3] > box[3]) & (both > 0)]:
                 x0, y0, x1, y1 = (front - [left, top, left, top]).round().astype(int)
                 alpha[max(y0, 0):max(y1, 0), max(x0, 0):max(x1, 0)] = 0
-            if (alpha > 0.5).sum() < (1 - MOST_HIDDEN) * (known[n][3] > 0.5).sum():
+            seen = (alpha > 0.5).sum() / (known[n][3] > 0.5).sum()
+            if seen < 1 - MOST_HIDDEN:
                 continue
             place = img[top:top + h, left:left + w]
             gain = float(np.clip(ring(place, known[n][3]) / ring(pixels, known[n][3]), 0.7, 1.4))
@@ -62,27 +65,17 @@ class Stock:
                 covered = (alpha[max(y0, 0):max(y1, 0), max(x0, 0):max(x1, 0)] > 0.5).sum()
                 hidden[i] += covered / max((truth[i, 2:] - truth[i, :2]).prod(), 1)
             truth = np.concatenate([truth, box[None]]).astype(np.float32)
-            kinds, hidden = np.append(kinds, kind), np.append(hidden, 0)
+            kinds, hidden = np.append(kinds, kind), np.append(hidden, 1 - seen)
             wanted -= 1
         gone = hidden > MOST_HIDDEN
         return img, truth[~gone], kinds[~gone], np.concatenate([ignored, truth[gone]])
 
 
-def key(picture):
-    return picture.dataset, picture.group, picture.night
-
-
-def cut_out(pictures):
+def cut_out(pictures, images, empty):
     """Box, kind, pixels and cover (0..1) of each vehicle that stands alone."""
-    images = [p.read() for p in pictures]
-    empty = np.median(images, 0).astype(np.float32)
-    small = lambda img: cv2.GaussianBlur(cv2.cvtColor(img.astype(np.uint8), cv2.COLOR_BGR2GRAY),
-                                         (0, 0), 2).astype(np.float32).ravel()
     for picture, img in zip(pictures, images):
-        if np.corrcoef(small(img), small(empty))[0, 1] < ALIKE:
-            continue
         truth, kinds, _ = picture.targets()
-        change = np.abs(img.astype(np.float32) - empty).max(2)
+        change = np.abs(img.astype(np.float32) - empty.astype(np.float32)).max(2)
         level = max(18.0, 2.5 * float(np.median(change)))
         for n, box in enumerate(truth):
             x0, y0, x1, y1 = int(box[0]) - EDGE, int(box[1]) - EDGE, int(box[2]) + EDGE, int(box[3]) + EDGE
@@ -124,11 +117,18 @@ INKS = [(255, 255, 255), (0, 0, 0), (0, 230, 255), (40, 40, 230), (255, 200, 60)
 
 
 def marks(img, truth, rng):
-    """A window with one to three marks; boxes stay as they are."""
-    img = img.copy()
+    """A window with one to three marks, and which boxes what is burnt in covers further than a vehicle
+    may be hidden."""
+    img, over = img.copy(), np.zeros(img.shape[:2], bool)
     for _ in range(int(rng.integers(1, 4))):
-        [burnt_words, burnt_arrow, painted, painted, shadow][int(rng.integers(5))](img, truth, rng)
-    return img
+        mark = [burnt_words, burnt_arrow, painted, painted, shadow][int(rng.integers(5))]
+        before = img.copy()
+        mark(img, truth, rng)
+        if mark in (burnt_words, burnt_arrow):
+            over |= (img != before).any(2)
+    corners = [box.round().astype(int) for box in truth]
+    return img, np.array([over[y0:y1, x0:x1].mean() > MOST_HIDDEN if x1 > x0 and y1 > y0 else False
+                          for x0, y0, x1, y1 in corners], bool)
 
 
 def burnt_words(img, _truth, rng):
@@ -185,7 +185,10 @@ def painted(img, truth, rng):
     inset = 0.15 * wide
     seen = np.float32([[inset + max(slant, 0), 0], [wide - inset + min(slant, 0), 0],
                        [wide + min(-slant, 0), tall], [max(-slant, 0), tall]])
-    cover = cv2.warpPerspective(flat, cv2.getPerspectiveTransform(near, seen), (wide, tall), flags=cv2.INTER_AREA)
+    # Drawn four times as large, then averaged: thin strokes fade as they do in a camera.
+    way = cv2.getPerspectiveTransform(near, 4 * seen)
+    cover = cv2.resize(cv2.warpPerspective(flat, way, (4 * wide, 4 * tall)), (wide, tall),
+                       interpolation=cv2.INTER_AREA)
     cover = cover.astype(np.float32) * (rng.uniform(0.45, 0.95) / 255)
     bright = np.percentile(img, 90) if rng.random() < 0.7 else 0.6 * img.mean() + 80
     ink = np.array([bright * (0.55 if rng.random() < 0.2 else 1), bright, bright], np.float32)

@@ -61,9 +61,8 @@ def search(verge, folder, pictures):
         if not os.path.exists(os.path.join(folder, frame)):
             cv2.imwrite(os.path.join(folder, frame), p.read())
     out = folder + ".jsonl"
-    if not os.path.exists(out):
-        subprocess.run([verge, "detect", "--model", MODEL, "--frames", folder, "--score", str(LEAST),
-                        "--detections", out], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([verge, "detect", "--model", MODEL, "--frames", folder, "--score", str(LEAST),
+                    "--detections", out], check=True, stdout=subprocess.DEVNULL)
     with open(out) as file:
         rows = [json.loads(line) for line in file]
     return {names[r["frame"]]: np.array([b[:5] for b in r["boxes"]], np.float32).reshape(-1, 5)

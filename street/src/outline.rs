@@ -40,25 +40,19 @@ impl OutlineMap {
             shown: BTreeMap::new(),
         };
         let eye = camera.position();
-        let distance = |x: f64, y: f64| (x - eye.x).hypot(y - eye.y);
         let mut items: Vec<Item<(u64, Vec<Polygon>)>> = Vec::new();
         for vehicle in &snapshot.vehicles {
             if let Some(hulls) = hulls(vehicle, camera) {
-                let middle = vehicle.centre;
-                let distance = distance(middle[0], middle[1]);
-                items.push(Item { distance, middle, what: (vehicle.id, hulls) });
+                items.push(Item::vehicle(vehicle, &eye, (vehicle.id, hulls)));
             }
         }
         for block in barrier_blocks(street) {
             let image: Option<Vec<_>> = block.corners().iter().map(|p| camera.project(p)).collect();
             if let Some(image) = image {
-                let middle = block.middle;
-                let distance = distance(middle[0], middle[1]);
-                items.push(Item { distance, middle, what: (BARRIER, vec![hull(image)]) });
+                items.push(Item::block(&block, &eye, (BARRIER, vec![hull(image)])));
             }
         }
-        order::settle(&mut items, &snapshot.vehicles, &eye);
-        items.sort_by(|a, b| b.distance.total_cmp(&a.distance).then(a.what.0.cmp(&b.what.0)));
+        let items = order::far_to_near(items, &snapshot.vehicles, &eye);
         let mut stamp = vec![0u32; width * height];
         for (number, Item { what: (id, hulls), .. }) in items.iter().enumerate() {
             let mut whole = 0;

@@ -105,10 +105,11 @@ fn close(closure: &Closure, road: &Road, blocks: &mut Vec<Block>) {
     let kind = closure.kind;
     let pitch = kind.length_m() + closure.gap_m.unwrap_or(kind.gap_m());
     let end_m = closure.to_offset_m.unwrap_or(closure.offset_m);
-    let count = ((closure.to_m - closure.from_m) / pitch) as usize + 1;
-    for i in 0..count {
-        let s = closure.from_m + (i as f64 + 0.5) * pitch;
-        let along = ((s - closure.from_m) / (closure.to_m - closure.from_m).max(1e-9)).min(1.0);
+    let last_m = closure.to_m.min(road.length_m()) - kind.length_m() / 2.0;
+    let middles = (0..).map(|i| closure.from_m + (f64::from(i) + 0.5) * pitch);
+    // A row that its elements fill keeps the last one.
+    for (i, s) in middles.take_while(|s| *s < last_m + 1e-6).enumerate() {
+        let along = (s - closure.from_m) / (closure.to_m - closure.from_m);
         let d = closure.offset_m + along * (end_m - closure.offset_m);
         let half = [kind.width_m() / 2.0, kind.length_m() / 2.0];
         let foot = |scale: f64| {
@@ -133,5 +134,49 @@ fn close(closure: &Closure, road: &Road, blocks: &mut Vec<Block>) {
         };
         let (foot, foot_m) = (foot(1.0), 0.0);
         blocks.push(Block { foot, middle, height_m, foot_m, taper: 0.6, surface, shadow: true });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Block, close};
+    use crate::road::{Piece, Road};
+    use crate::scene::{Closure, ClosureKind};
+
+    /// The pieces of a row on 60 m of straight road along +Y.
+    fn row(kind: ClosureKind, from_m: f64, to_m: f64, gap_m: f64) -> Vec<Block> {
+        let piece = Piece { length_m: 60.0, curvature_per_m: 0.0, end_curvature_per_m: None };
+        let road = Road::new([0.0, 0.0], 0.0, &[piece]);
+        let (offset_m, to_offset_m, gap_m) = (0.0, None, Some(gap_m));
+        let mut blocks = Vec::new();
+        let closure = Closure { kind, from_m, to_m, offset_m, to_offset_m, gap_m };
+        close(&closure, &road, &mut blocks);
+        blocks
+    }
+
+    #[test]
+    fn a_closure_ends_with_the_last_element_that_fits() {
+        let end = |blocks: &[Block]| {
+            blocks.iter().flat_map(|block| block.foot).fold(0.0, |end: f64, [_, y]| end.max(y))
+        };
+        // Elements of 3 m, 1 m apart, half a gap at both ends.
+        for (to_m, count, end_m) in [(24.0, 6, 23.5), (23.5, 6, 23.5), (23.4, 5, 19.5)] {
+            let blocks = row(ClosureKind::Concrete, 0.0, to_m, 1.0);
+            assert_eq!((blocks.len(), end(&blocks)), (count, end_m), "{to_m}");
+        }
+        assert_eq!(row(ClosureKind::Concrete, 10.0, 12.0, 1.0).len(), 0);
+        assert_eq!(row(ClosureKind::Water, 10.0, 13.0, 0.0).len(), 2);
+    }
+
+    #[test]
+    fn no_element_stands_beyond_the_end_of_the_road() {
+        for kind in [ClosureKind::Water, ClosureKind::Concrete, ClosureKind::Cone] {
+            for to_m in [57.0, 58.5, 60.0, 60.2] {
+                for block in row(kind, 20.0, to_m, 4.0) {
+                    let length = block.foot[2][1] - block.foot[1][1];
+                    assert!(length > 0.05 && block.foot[2][1] <= 60.0, "{kind:?} to {to_m}");
+                }
+            }
+        }
     }
 }

@@ -9,6 +9,9 @@ use crate::scene::{Daylight, Scene};
 use crate::vehicle::mesh::Material;
 use crate::vehicle::paint::{Livery, Rgb};
 
+/// A sun lower than this casts shadows as long as at it, sine of its height: 5.7 degrees.
+pub const LOWEST_SUN: f64 = 0.1;
+
 /// The light of a scene.
 #[derive(Debug, Clone)]
 pub struct Lighting {

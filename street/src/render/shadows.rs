@@ -4,16 +4,13 @@
 //! what casts it. They lie on the ground alone: vehicles that pass stay in the sun. Shadows of
 //! vehicles and closures are `vehicles.rs`.
 
-use super::light::Lighting;
+use super::light::{LOWEST_SUN, Lighting};
 use crate::random::smooth;
 use crate::road::Road;
 use crate::scene::{Scene, Shadow, ShadowKind};
 
 /// Diameter of the sun's disc, radians.
 const SUN_RAD: f64 = 0.0093;
-
-/// A sun lower than this casts shadows as long as at it, sine of its height.
-const LOWEST_SUN: f64 = 0.08;
 
 /// The shadows of a scene, on the ground.
 pub struct Shadows {

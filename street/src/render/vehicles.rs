@@ -1,12 +1,13 @@
 //! Vehicles and barriers in the picture: shadows on the road, then bodies from far to near.
 //!
 //! Owns the order of painting (a painter's algorithm over convex-ish bodies: back faces are
-//! dropped, the rest is sorted by distance, decals last). Lights' glare is `glow.rs`.
+//! dropped, the rest is sorted by distance, decals last). The order of the bodies is `order.rs`,
+//! lights' glare is `glow.rs`.
 
 use nalgebra::{Point3, Vector3};
 
 use super::canvas::Canvas;
-use super::light::Lighting;
+use super::light::{LOWEST_SUN, Lighting};
 use crate::camera::Camera;
 use crate::order::{self, Item};
 use crate::outline::{hull, hull_boxes};
@@ -28,17 +29,12 @@ pub fn paint(
     let eye = camera.position();
     let mut items: Vec<Item<Thing>> = Vec::new();
     for vehicle in &snapshot.vehicles {
-        let distance = (vehicle.centre[0] - eye.x).hypot(vehicle.centre[1] - eye.y);
         if in_picture(vehicle, camera) {
-            items.push(Item { distance, middle: vehicle.centre, what: Thing::Vehicle(vehicle) });
+            items.push(Item::vehicle(vehicle, &eye, Thing::Vehicle(vehicle)));
         }
     }
-    for block in blocks {
-        let distance = (block.middle[0] - eye.x).hypot(block.middle[1] - eye.y);
-        items.push(Item { distance, middle: block.middle, what: Thing::Block(block) });
-    }
-    order::settle(&mut items, &snapshot.vehicles, &eye);
-    items.sort_by(|a, b| b.distance.total_cmp(&a.distance));
+    items.extend(blocks.iter().map(|block| Item::block(block, &eye, Thing::Block(block))));
+    let items = order::far_to_near(items, &snapshot.vehicles, &eye);
     for item in &items {
         match item.what {
             Thing::Vehicle(vehicle) => shadow(canvas, vehicle, light, camera),
@@ -85,7 +81,7 @@ fn shadow(canvas: &mut Canvas, vehicle: &Placed, light: &Lighting, camera: &Came
     let model = vehicle.model();
     let sunny = light.sun[1] / (light.sun[1] + light.sky[1] + 1e-6);
     if sunny > 0.05 {
-        let reach = light.to_sun / light.to_sun.z.max(0.1);
+        let reach = light.to_sun / light.to_sun.z.max(LOWEST_SUN);
         let points = mesh_of(vehicle.model_index).parts.iter().flatten().map(|point| {
             let p = vehicle.world(*point);
             [p.x - p.z * reach.x, p.y - p.z * reach.y]
@@ -117,7 +113,7 @@ fn shadow(canvas: &mut Canvas, vehicle: &Placed, light: &Lighting, camera: &Came
 }
 
 fn block_shadow(canvas: &mut Canvas, block: &Block, light: &Lighting, camera: &Camera) {
-    let reach = light.to_sun / light.to_sun.z.max(0.1);
+    let reach = light.to_sun / light.to_sun.z.max(LOWEST_SUN);
     let fallen = block.corners().map(|p| [p.x - p.z * reach.x, p.y - p.z * reach.y]);
     let around = block
         .foot

@@ -15,6 +15,7 @@ import numpy as np
 
 import boxes
 import data
+from evidence_frames import overlaps
 from teacher import Detector
 
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -22,6 +23,7 @@ DATA = os.path.join(HERE, "..", "..", "..", "shared", "data")
 AUDIT = os.path.join(HERE, "..", "data", "audit")
 MODEL = os.path.join(HERE, "..", "..", "models", "verge_nanodet_640x480.onnx")
 SHIPPED, UNION, SMALLER = 0.315, 0.5, 0.8  # models/verge_nanodet_640x480.toml
+MOST = 1024  # candidates of a frame, as in the daemon
 
 
 def share(inner, outer):
@@ -85,12 +87,13 @@ def detectors():
 
 def suppressed(rows, union, smaller):
     """Greedy, as the daemon does it: by overlap over the union and over the smaller box."""
+    rows = rows[np.argsort(-rows[:, 4], kind="stable")][:MOST]
+    over_union, over_smaller = overlaps(rows, rows)
     kept = []
-    for row in rows[np.argsort(-rows[:, 4], kind="stable")]:
-        if all(boxes.iou(row[None, :4], k[None, :4])[0, 0] <= union
-               and max(share(row, k), share(k, row)) <= smaller for k in kept):
-            kept.append(row)
-    return np.array(kept).reshape(-1, 6)
+    for i in range(len(rows)):
+        if (over_union[i, kept] <= union).all() and (over_smaller[i, kept] <= smaller).all():
+            kept.append(i)
+    return rows[kept]
 
 
 def write(args):

@@ -4,39 +4,34 @@ A window is cut from the picture as the daemon would enlarge it (640x480 letterb
 random zoom, so vehicles keep the sizes that they have in use. Owns all randomness of the data.
 """
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
 import boxes as geometry
+import paste
 
 FULL = (640, 480)
-SURE = 0.45  # a teacher box above this is taught as a vehicle where the data set has no label
-DOUBT = 0.12  # between this and SURE it is ignored
 SMALLEST = 5  # px of the window: below, a label is ignored and not taught
 
 
-def targets_of(picture):
-    """Boxes, kinds and ignored boxes in pixels of `picture.read()`."""
-    truth, kinds = picture.true_boxes(), picture.classes
-    ignored = np.zeros((0, 4), np.float32)
-    if picture.far_unlabelled and len(picture.teacher):
-        teacher = picture.teacher
-        free = np.ones(len(teacher), bool)
-        if len(truth):
-            overlap = geometry.iou(teacher[:, :4], truth)
-            free = overlap.max(1) < 0.3
-        sure = free & (teacher[:, 4] >= SURE)
-        doubt = free & (teacher[:, 4] >= DOUBT) & ~sure
-        ignored = teacher[doubt, :4]
-        truth = np.concatenate([truth, teacher[sure, :4]])
-        kinds = np.concatenate([kinds, np.zeros(sure.sum(), np.int64)])
-    return truth.astype(np.float32), kinds, ignored.astype(np.float32)
+@dataclass
+class Recipe:
+    """What is done to a picture beyond what `window` always does."""
+
+    zoom: tuple = (0.6, 1.7)  # of the 640x480 letterbox
+    crowd: float = 0.0  # chance that vehicles of the same camera are pasted in
+    marks: float = 0.0  # chance of marks that are no vehicles
+    stock: object = None  # `paste.Stock`
 
 
-def window(picture, rng, width, height, zoom=(0.6, 1.7)):
+def window(picture, rng, width, height, recipe, zoom):
     """One random window of the picture with its boxes."""
     img = picture.read()
-    truth, kinds, ignored = targets_of(picture)
+    truth, kinds, ignored = picture.targets()
+    if recipe.stock is not None and rng.random() < recipe.crowd:
+        img, truth, kinds, ignored = recipe.stock.crowd(picture, img, truth, kinds, ignored, rng)
     h, w = img.shape[:2]
     base = min(FULL[0] / w, FULL[1] / h)
     scale = base * np.exp(rng.uniform(np.log(zoom[0]), np.log(zoom[1])))
@@ -61,7 +56,12 @@ def window(picture, rng, width, height, zoom=(0.6, 1.7)):
     cw, ch = min(nw - sx0, width - dx0), min(nh - sy0, height - dy0)
     out[dy0:dy0 + ch, dx0:dx0 + cw] = img[sy0:sy0 + ch, sx0:sx0 + cw]
     shift = np.array([left, top] * 2, np.float32)
-    return out, *clip(truth - shift, kinds, ignored - shift, width, height)
+    truth, kinds, ignored = clip(truth - shift, kinds, ignored - shift, width, height)
+    if recipe.marks and rng.random() < recipe.marks:
+        out, covered = paste.marks(out, truth, rng)
+        ignored = np.concatenate([ignored, truth[covered]])
+        truth, kinds = truth[~covered], kinds[~covered]
+    return out, truth, kinds, ignored
 
 
 def place(start, size, room, rng):
@@ -123,11 +123,11 @@ def degrade(img, rng):
     return img
 
 
-def sample(pictures, index, rng, width, height, mosaic=0.25):
+def sample(pictures, index, rng, width, height, recipe, mosaic=0.25):
     """One training picture: a window, or four smaller ones side by side."""
     if rng.random() >= mosaic:
         picture = pictures[index]
-        img, truth, kinds, ignored = window(picture, rng, width, height)
+        img, truth, kinds, ignored = window(picture, rng, width, height, recipe, recipe.zoom)
         img = light(img, rng, picture.night)
     else:
         cx, cy = int(rng.uniform(0.35, 0.65) * width), int(rng.uniform(0.35, 0.65) * height)
@@ -136,7 +136,7 @@ def sample(pictures, index, rng, width, height, mosaic=0.25):
         spots = [(0, 0, cx, cy), (cx, 0, width, cy), (0, cy, cx, height), (cx, cy, width, height)]
         chosen = [index] + [int(i) for i in rng.integers(len(pictures), size=3)]
         for (x0, y0, x1, y1), i in zip(spots, chosen):
-            part, t, k, g = window(pictures[i], rng, x1 - x0, y1 - y0, (0.5, 1.3))
+            part, t, k, g = window(pictures[i], rng, x1 - x0, y1 - y0, recipe, (0.5, 1.3))
             img[y0:y1, x0:x1] = light(part, rng, pictures[i].night)
             shift = np.array([x0, y0] * 2, np.float32)
             parts.append((t + shift, k, g + shift))

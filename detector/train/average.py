@@ -10,16 +10,26 @@ import argparse
 
 import torch
 
+from nanodet import NanoDet, carry
+
+
+def read(path):
+    """A checkpoint of `train.py`, or an exported net as one."""
+    if not path.endswith(".onnx"):
+        return torch.load(path, map_location="cpu", weights_only=False)
+    net = NanoDet()
+    carry(net, path)
+    return {"mean": net.state_dict(), "step": "the exported net"}
+
 
 def main():
     args = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    args.add_argument("--first", required=True, help="a checkpoint of train.py")
+    args.add_argument("--first", required=True, help="a checkpoint of train.py, or a net, ONNX")
     args.add_argument("--second", required=True)
     args.add_argument("--share", type=float, default=0.75, help="of the second, 0 to 1")
     args.add_argument("--out", required=True)
     args = args.parse_args()
-    first, second = (torch.load(path, map_location="cpu", weights_only=False)
-                     for path in (args.first, args.second))
+    first, second = read(args.first), read(args.second)
     for name, value in second["mean"].items():
         if value.is_floating_point():
             value.lerp_(first["mean"][name], 1 - args.share)

@@ -13,8 +13,13 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+import boxes as geometry
+
 CLASSES = ["vehicle", "car", "van", "bus", "truck", "motorcycle"]
 VEHICLE = 0
+
+SURE = 0.45  # a teacher box above this is taught as a vehicle where the data set has no label
+DOUBT = 0.12  # between this and SURE it is ignored
 
 # Label number in each data set -> class here. `vehicle` says that the kind is not known.
 SG_LTA = ["car", "truck", "van", "motorcycle", "bus"]
@@ -68,6 +73,22 @@ class Picture:
         """Boxes in the pixels that `read` returns."""
         k = self.true_height / self.height
         return self.boxes * np.array([1, k, 1, k], np.float32)
+
+    def targets(self):
+        """Boxes, kinds and ignored boxes in the pixels that `read` returns: labels, and the teacher's
+        boxes where the data set has none."""
+        truth, kinds = self.true_boxes(), self.classes
+        ignored = np.zeros((0, 4), np.float32)
+        if self.far_unlabelled and len(self.teacher):
+            free = np.ones(len(self.teacher), bool)
+            if len(truth):
+                free = geometry.iou(self.teacher[:, :4], truth).max(1) < 0.3
+            sure = free & (self.teacher[:, 4] >= SURE)
+            doubt = free & (self.teacher[:, 4] >= DOUBT) & ~sure
+            ignored = self.teacher[doubt, :4]
+            truth = np.concatenate([truth, self.teacher[sure, :4]])
+            kinds = np.concatenate([kinds, np.zeros(sure.sum(), np.int64)])
+        return truth.astype(np.float32), kinds, ignored.astype(np.float32)
 
 
 def is_night(path, dataset, img):

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 import data
-from evidence_frames import UNARY, audited, committed, field, grid, prepare, street
+from evidence_frames import MODEL, UNARY, audited, committed, field, grid, prepare, street
 
 MATCH = 0.4  # overlap with a vehicle from which a box is that vehicle
 PAIR = ["inside", "inside_squared", "overlap", "beside", "apart", "behind"]
@@ -152,6 +152,7 @@ def main():
     args = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     args.add_argument("--data", required=True)
     args.add_argument("--street", required=True, help="recordings that street.py has made")
+    args.add_argument("--model", default=MODEL, help="the net, ONNX [default: the shipped one]")
     args.add_argument("--columns", type=int,
                       help="of the net's input [default: as the size of cars asks for]")
     args.add_argument("--counts", help="write what each camera counts without a part in the fit")
@@ -167,7 +168,7 @@ def main():
         for key in {(f.camera, f.night) for f in photographs} & pictures.keys():
             roads[key] = field(np.median([grid(path) for path in pictures[key]], axis=0))
         frames = photographs + shown + made
-        prepare(frames, args.columns, roads)
+        prepare(frames, args.columns, roads, args.model)
     queues = {f.camera for f in made if f.camera.startswith("curve")} | {"curve"}
     boxes_of = lambda without: [f for f in photographs + shown if f.camera != without
                                 and f.camera in (*PHOTOGRAPHS, "k109f", "curve", "freeway")]

@@ -30,10 +30,10 @@ UNARY = ["bias", "score", "car_px", "large.class", "motorcycle.class", "car.size
 
 
 class Net:
-    """The shipped net at another input size: only the shapes in the file change."""
+    """A net at another input size: only the shapes in the file change."""
 
-    def __init__(self, width, height):
-        model = onnx.load(MODEL)
+    def __init__(self, model, width, height):
+        model = onnx.load(model)
         sides = model.graph.input[0].type.tensor_type.shape.dim
         sides[2].dim_value, sides[3].dim_value = height, width
         del model.graph.output[0].type.tensor_type.shape.dim[:]
@@ -273,16 +273,16 @@ def likeness(here, road, boxes, k):
     return np.array(out)
 
 
-def prepare(frames, columns, roads):
+def prepare(frames, columns, roads, model=MODEL):
     """Boxes and what is known of them, for inputs of so many columns; `None`: as the size of cars in the
-    lanes asks for, by the sidecar's steps."""
+    lanes asks for, by the steps of the shipped sidecar."""
     nets, groups = {}, {}
     for frame in frames:
         groups.setdefault(frame.camera, []).append(frame)
     with open(MODEL.replace(".onnx", ".toml"), "rb") as file:
         steps = tomllib.load(file)["step"]
     for group in groups.values():
-        search(group, columns or steps[-2]["width_px"], nets)
+        search(group, model, columns or steps[-2]["width_px"], nets)
         car = plane(cars(group), group[0].size[0])
         if columns is None:
             in_lanes = np.concatenate([frame.true[frame.inside(frame.true)] for frame in group])
@@ -291,18 +291,18 @@ def prepare(frames, columns, roads):
                         steps[-1]["width_px"])
             print(f"{group[0].camera}: cars of {640 * side:.0f} px in 640, input {wide}")
             if wide != steps[-2]["width_px"]:
-                search(group, wide, nets)
+                search(group, model, wide, nets)
                 car = plane(cars(group), group[0].size[0])
         for frame in group:
             describe(frame, car, roads)
 
 
-def search(frames, columns, nets):
+def search(frames, model, columns, nets):
     """The net's boxes on frames, with an input of so many columns."""
     for frame in frames:
         width, height = frame.size
         key = columns, int(-(-min(columns * 3 / 4, columns * height / width) // 32) * 32)
-        net = nets.get(key) or nets.setdefault(key, Net(*key))
+        net = nets.get(key) or nets.setdefault(key, Net(model, *key))
         img = cv2.imread(frame.path)
         frame.boxes = net.boxes(img)
         frame.boxes[:, :4] *= width / img.shape[1]

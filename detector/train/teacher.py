@@ -16,6 +16,7 @@ import onnxruntime as ort
 
 import boxes
 import data
+import road
 
 COCO_VEHICLES = "2,3,5,7"  # car, motorcycle, bus, truck
 
@@ -88,6 +89,7 @@ def main():
         found[p.path] = boxes.nms(whole, 0.55)[:, :5].astype(np.float32)
         if i % 50 == 0:
             print(f"{i}/{len(pictures)} {time.time() - start:.0f} s", flush=True)
+    print(f"{road.settle(pictures, found)} boxes show the road and went")
     with open(args.out, "wb") as file:
         pickle.dump(found, file)
 

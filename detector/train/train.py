@@ -18,6 +18,7 @@ import torch
 import augment
 import boxes as geometry
 import data
+import paste
 from loss import detection_loss
 from nanodet import NanoDet, carry
 
@@ -27,8 +28,8 @@ WIDTH, HEIGHT = 416, 320
 class Windows(torch.utils.data.Dataset):
     """Endless windows; window n depends on the seed and n alone."""
 
-    def __init__(self, pictures, weights, seed, first, count):
-        self.pictures, self.weights = pictures, weights
+    def __init__(self, pictures, weights, recipe, seed, first, count):
+        self.pictures, self.weights, self.recipe = pictures, weights, recipe
         self.seed, self.first, self.count = seed, first, count
 
     def __len__(self):
@@ -37,7 +38,8 @@ class Windows(torch.utils.data.Dataset):
     def __getitem__(self, n):
         rng = np.random.default_rng([self.seed, self.first + n])
         index = int(rng.choice(len(self.pictures), p=self.weights))
-        img, truth, kinds, ignored = augment.sample(self.pictures, index, rng, WIDTH, HEIGHT)
+        img, truth, kinds, ignored = augment.sample(self.pictures, index, rng, WIDTH, HEIGHT,
+                                                     self.recipe)
         return (torch.from_numpy(geometry.blob(img)[0]), torch.from_numpy(truth).float(),
                 torch.from_numpy(kinds), torch.from_numpy(ignored).float())
 
@@ -97,6 +99,11 @@ def main():
     args.add_argument("--only", help="train on this data set alone")
     args.add_argument("--unbalanced", action="store_true",
                       help="every picture as often as every other (the paper's Spaghetti)")
+    args.add_argument("--zoom", type=float, default=1.7, help="largest, of the 640x480 letterbox")
+    args.add_argument("--crowd", type=float, default=0.0,
+                      help="chance that vehicles of the same camera are pasted into a picture")
+    args.add_argument("--marks", type=float, default=0.0,
+                      help="chance of paint, burnt-in words and shadows in a window")
     args.add_argument("--steps", type=int, default=6000)
     args.add_argument("--batch", type=int, default=8)
     args.add_argument("--lr", type=float, default=4e-4)
@@ -138,10 +145,14 @@ def main():
         optimiser.load_state_dict(state["optimiser"])
         started = state.get("started", started)
     grid = torch.from_numpy(geometry.centres(WIDTH, HEIGHT)).to(device)
-    windows = Windows(pictures, chances(pictures, read_mix(args.mix), args.unbalanced), args.seed,
-                      step * args.batch, (args.steps - step) * args.batch)
+    recipe = augment.Recipe((0.6, args.zoom), args.crowd, args.marks,
+                            paste.Stock(pictures) if args.crowd else None)
+    windows = Windows(pictures, chances(pictures, read_mix(args.mix), args.unbalanced), recipe,
+                      args.seed, step * args.batch, (args.steps - step) * args.batch)
     loader = torch.utils.data.DataLoader(windows, args.batch, num_workers=1, collate_fn=collate,
                                          prefetch_factor=4)
+    if recipe.stock:
+        print(f"{len(recipe.stock)} vehicles cut out", flush=True)
     print(f"{len(pictures)} pictures, from step {step}, {device}", flush=True)
     log, saved, sums, seen = open(os.path.join(args.out, "log.jsonl"), "a"), time.time(), 0, 0
     for blobs, targets in loader:

@@ -99,6 +99,14 @@ impl Camera {
         Some([f64::from(self.width) / 2.0 + scale * x, f64::from(self.height) / 2.0 + scale * y])
     }
 
+    /// True where the lens model holds for a world point: it is before the camera, and not so far
+    /// aside that the radial term folds back what lies farther out.
+    pub fn images(&self, world: &Point3<f64>) -> bool {
+        let p = self.rotation * world.coords + self.translation;
+        let r2 = (p.x / p.z).powi(2) + (p.y / p.z).powi(2);
+        p.z >= NEAR_M && 1.0 + 3.0 * self.k1 * r2 > 0.0
+    }
+
     /// The direction in camera axes (z = 1) that an image point shows, distortion undone.
     pub fn ray_in_cam(&self, image: [f64; 2]) -> Vector3<f64> {
         let xd = (image[0] - f64::from(self.width) / 2.0) / self.focal_px;

@@ -30,7 +30,9 @@
 pub mod camera;
 pub mod error;
 pub mod faults;
+mod font;
 pub mod measured;
+mod order;
 mod outline;
 pub mod random;
 pub mod recording;

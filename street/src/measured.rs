@@ -111,7 +111,8 @@ pub fn measured_lanes(scene: &Scene, road: &Road, lines: &[LaneLine]) -> Result<
 
 fn longest_model(scene: &Scene) -> &'static Model {
     let mix = &scene.fleet;
-    let shares = [mix.van, mix.bus, mix.truck, mix.motorcycle];
+    let trailers = mix.truck * mix.trailer_share;
+    let shares = [mix.van, mix.bus, mix.truck, mix.motorcycle, trailers];
     let share = |i: usize| if i < CAR_MODELS { mix.car } else { shares[i - CAR_MODELS] };
     MODELS
         .iter()

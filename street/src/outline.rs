@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 
 use crate::camera::Camera;
+use crate::order::{self, Item};
 use crate::simulation::{Placed, Simulation, Snapshot};
 use crate::solid::barrier_blocks;
 use crate::vehicle::mesh::mesh_of;
@@ -39,26 +40,21 @@ impl OutlineMap {
             shown: BTreeMap::new(),
         };
         let eye = camera.position();
-        let distance = |x: f64, y: f64| (x - eye.x).hypot(y - eye.y);
-        let mut items: Vec<(f64, u64, Vec<Polygon>)> = Vec::new();
+        let mut items: Vec<Item<(u64, Vec<Polygon>)>> = Vec::new();
         for vehicle in &snapshot.vehicles {
             if let Some(hulls) = hulls(vehicle, camera) {
-                items.push((distance(vehicle.centre[0], vehicle.centre[1]), vehicle.id, hulls));
+                items.push(Item::vehicle(vehicle, &eye, (vehicle.id, hulls)));
             }
         }
         for block in barrier_blocks(street) {
             let image: Option<Vec<_>> = block.corners().iter().map(|p| camera.project(p)).collect();
             if let Some(image) = image {
-                items.push((
-                    distance(block.middle[0], block.middle[1]),
-                    BARRIER,
-                    vec![hull(image)],
-                ));
+                items.push(Item::block(&block, &eye, (BARRIER, vec![hull(image)])));
             }
         }
-        items.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let items = order::far_to_near(items, &snapshot.vehicles, &eye);
         let mut stamp = vec![0u32; width * height];
-        for (number, (_, id, hulls)) in items.iter().enumerate() {
+        for (number, Item { what: (id, hulls), .. }) in items.iter().enumerate() {
             let mut whole = 0;
             for polygon in hulls {
                 fill(polygon, width, height, |pixel| {
@@ -100,12 +96,17 @@ impl OutlineMap {
 }
 
 /// The bounding box of a vehicle's outline, not clipped, px; `None` when part of it is behind
-/// the camera.
+/// the camera, or part of a long lorry where the lens model ends: that one is not drawn either.
 pub fn hull_boxes(vehicle: &Placed, camera: &Camera) -> Option<[f64; 4]> {
+    let long = order::is_long(vehicle);
     let mut bounds = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
     let parts = mesh_of(vehicle.model_index).parts.iter().flatten();
     for point in parts.chain(&vehicle.model().key_points) {
-        let p = camera.project(&vehicle.world(*point))?;
+        let world = vehicle.world(*point);
+        if long && !camera.images(&world) {
+            return None;
+        }
+        let p = camera.project(&world)?;
         bounds[0] = bounds[0].min(p[0]);
         bounds[1] = bounds[1].min(p[1]);
         bounds[2] = bounds[2].max(p[0]);

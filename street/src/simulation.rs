@@ -61,6 +61,28 @@ impl Placed {
         Point3::new(middle[0] - cos * x + sin * y, middle[1] - sin * x - cos * y, world.z)
     }
 
+    /// True when the box around the body, above its wheels' hubs, cuts the line between two world
+    /// points.
+    pub fn hides(&self, from: &Point3<f64>, to: &Point3<f64>) -> bool {
+        let (a, b) = (self.model_point(from), self.model_point(to));
+        let model = self.model();
+        let sides = [model.sides_m, model.ends_m, [0.5, model.height_m]];
+        let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
+        for (k, [low, high]) in sides.into_iter().enumerate() {
+            let way = b[k] - a[k];
+            if way.abs() < 1e-9 {
+                if a[k] < low || a[k] > high {
+                    return false;
+                }
+                continue;
+            }
+            let ends = [(low - a[k]) / way, (high - a[k]) / way];
+            enter = enter.max(ends[0].min(ends[1]));
+            leave = leave.min(ends[0].max(ends[1]));
+        }
+        enter < leave
+    }
+
     /// The world direction of a direction of the model frame.
     pub fn turn(&self, v: Vector3<f64>) -> Vector3<f64> {
         // Model +Y is against travel, +X = Y x Z.

@@ -40,22 +40,7 @@ enum Command {
         truth_only: bool,
     },
     /// Fit every camera with every set of cues.
-    Measure {
-        /// What `make` wrote.
-        folder: PathBuf,
-        /// Only the cue sets whose name contains this.
-        #[arg(long, default_value = "")]
-        only: String,
-        /// Draw so many times with other reading errors.
-        #[arg(long, default_value_t = 1)]
-        draws: u64,
-        /// Print each camera too.
-        #[arg(long)]
-        each: bool,
-        /// Take the true boxes of vehicles that nothing covers in place of the detector's.
-        #[arg(long)]
-        true_boxes: bool,
-    },
+    Measure(measure::Wanted),
 }
 
 fn main() {
@@ -67,8 +52,6 @@ fn main() {
                 }
             }
         }
-        Command::Measure { folder, only, draws, each, true_boxes } => {
-            measure::table(&folder, &only, draws, each, true_boxes);
-        }
+        Command::Measure(wanted) => measure::table(&wanted),
     }
 }

@@ -15,9 +15,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::PI;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Standard deviation of a read point, px.
+/// Standard deviation of a read point, px; a bounded hand is off by no more than that.
 const READING_PX: f64 = 1.0;
 /// The same of a drawn lane line's points, of each and shared along the line.
 const TRACE_PX: [f64; 2] = [0.5, 0.5];
@@ -70,24 +70,38 @@ fn true_boxes(path: &Path) -> Vec<BoxCue> {
 }
 
 /// A reader with an unsteady hand.
-struct Hand(ChaCha8Rng);
+struct Hand {
+    random: ChaCha8Rng,
+    /// Points are off by at most `READING_PX` in u and in v, evenly, and said to be so.
+    bounded: bool,
+}
 
 impl Hand {
     fn normal(&mut self) -> f64 {
-        StandardNormal.sample(&mut self.0)
+        StandardNormal.sample(&mut self.random)
     }
 
     fn point(&mut self, camera: &Camera, p: Vector2<f64>) -> Vector2<f64> {
         let uv =
             camera.project(&Vector3::new(p.x, p.y, 0.0)).expect("the road is before the camera");
-        uv + Vector2::new(self.normal(), self.normal()) * READING_PX
+        uv + Vector2::new(self.reading(), self.reading())
+    }
+
+    /// Error of a coordinate, px.
+    fn reading(&mut self) -> f64 {
+        if self.bounded {
+            self.random.random_range(-READING_PX..=READING_PX)
+        } else {
+            READING_PX * self.normal()
+        }
     }
 
     fn length(&mut self, camera: &Camera, name: &str, points: &[Vector2<f64>]) -> MarkCue {
         let metres = (points[1] - points[0]).norm();
         let read = points.iter().map(|p| self.point(camera, *p)).collect();
         let told = metres * (1.0 + TAPE * self.normal());
-        MarkCue { rel_sd: TAPE, ..MarkCue::measured(name, read, told) }
+        let px_sd = if self.bounded { READING_PX / 3_f64.sqrt() } else { READING_PX };
+        MarkCue { rel_sd: TAPE, px_sd, ..MarkCue::measured(name, read, told) }
     }
 
     /// About nine points of a line.
@@ -125,7 +139,7 @@ const SETS: [&str; 11] = [
 ];
 
 fn cues(made: &Made, set: &str, hand: &mut Hand) -> Cues {
-    let lane = &made.lanes[hand.0.random_range(0..made.lanes.len())];
+    let lane = &made.lanes[hand.random.random_range(0..made.lanes.len())];
     let axis = &lane.axis;
     let (length, truth) = (axis.length_m(), &made.truth);
     let foot = truth.pose.camera_centre().xy();
@@ -186,7 +200,8 @@ fn cues(made: &Made, set: &str, hand: &mut Hand) -> Cues {
         cues.marks.push(hand.length(truth, "long", &[at(0.0).0, at(length).0]));
     }
     if set.contains("dashes") {
-        let start = hand.0.random_range(0.0..1.0) * (length - (length / PITCH_M).floor() * PITCH_M);
+        let start =
+            hand.random.random_range(0.0..1.0) * (length - (length / PITCH_M).floor() * PITCH_M);
         let points: Vec<_> = (0..)
             .map(|k| start + PITCH_M * f64::from(k))
             .take_while(|s| *s <= length)
@@ -296,25 +311,49 @@ fn cpu_seconds() -> f64 {
     text.split_whitespace().next().and_then(|n| n.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
 }
 
+/// What to measure.
+#[derive(clap::Args)]
+pub struct Wanted {
+    /// What `make` wrote.
+    folder: PathBuf,
+    /// Only the cue sets whose name contains this.
+    #[arg(long, default_value = "")]
+    only: String,
+    /// Draw so many times with other reading errors.
+    #[arg(long, default_value_t = 1)]
+    draws: u64,
+    /// Print each camera too.
+    #[arg(long)]
+    each: bool,
+    /// Take the true boxes of vehicles that nothing covers in place of the detector's.
+    #[arg(long)]
+    true_boxes: bool,
+    /// Read no coordinate wrong by more than 1 px, in place of a standard deviation of 1 px.
+    #[arg(long)]
+    bounded: bool,
+}
+
 /// Prints the table.
-pub fn table(folder: &Path, only: &str, draws: u64, each: bool, exact: bool) {
+pub fn table(wanted: &Wanted) {
+    let Wanted { folder, only, draws, each, true_boxes, bounded } = wanted;
     let mut folders: Vec<_> =
         std::fs::read_dir(folder).expect("a folder").flatten().map(|e| e.path()).collect();
     folders.sort();
-    let all: Vec<Made> = folders.iter().filter_map(|f| read(f, exact)).collect();
+    let all: Vec<Made> = folders.iter().filter_map(|f| read(f, *true_boxes)).collect();
     println!(
         "| cues | picture | cameras | median | p90 | of stretches: median | p90 | expected | of the mean: median | p90 | near, middle, far, whole hold | stated | cpu ms | failed |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
     );
-    for set in SETS.into_iter().filter(|s| s.contains(only)) {
+    for set in SETS.into_iter().filter(|s| s.contains(only.as_str())) {
         for width in [320, 720] {
             let mut outcomes = Vec::new();
             let mut failed = 0;
             for (k, made) in all.iter().filter(|m| m.truth.image_size[0] == width).enumerate() {
-                for draw in 0..draws {
-                    let mut hand = Hand(ChaCha8Rng::seed_from_u64(1000 * draw + k as u64));
+                for draw in 0..*draws {
+                    let random = ChaCha8Rng::seed_from_u64(1000 * draw + k as u64);
+                    let mut hand = Hand { random, bounded: *bounded };
                     match judge(made, &cues(made, set, &mut hand)) {
                         Some(o) => {
-                            if each {
+                            if *each {
                                 println!(
                                     "  {} {:.1} %, whole {:+.1} % stated {:.1} % {:?}",
                                     made.name,

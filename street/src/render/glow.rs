@@ -8,6 +8,7 @@ use super::canvas::Canvas;
 use super::light::Lighting;
 use super::vehicles::in_picture;
 use crate::camera::Camera;
+use crate::order;
 use crate::simulation::{Placed, Simulation, Snapshot};
 use crate::vehicle::mesh::{Face, Material, mesh_of};
 
@@ -48,8 +49,14 @@ pub fn glare(canvas: &mut Canvas, snapshot: &Snapshot, light: &Lighting, camera:
         return;
     }
     let eye = camera.position();
+    let lorries: Vec<&Placed> = snapshot.vehicles.iter().filter(|v| order::is_long(v)).collect();
     for vehicle in snapshot.vehicles.iter().filter(|v| in_picture(v, camera)) {
         for lamp in &mesh_of(vehicle.model_index).decals {
+            // Glare spreads around what hides a lamp, but not around a whole lorry.
+            let place = vehicle.world(lamp.middle);
+            if lorries.iter().any(|l| l.id != vehicle.id && l.hides(&place, &eye)) {
+                continue;
+            }
             lamp_glare(canvas, vehicle, lamp, light, camera, &eye);
         }
     }

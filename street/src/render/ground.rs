@@ -7,6 +7,8 @@ use nalgebra::Vector3;
 
 use super::canvas::Canvas;
 use super::light::{Lighting, mix, scale};
+use super::painted::Mark;
+use super::shadows::Shadows;
 use crate::camera::Camera;
 use crate::random::{cell, smooth};
 use crate::road::{LaneLine, Road};
@@ -23,6 +25,10 @@ pub struct GroundPainter<'a> {
     pub lines: &'a [LaneLine],
     /// The light.
     pub light: &'a Lighting,
+    /// Words and symbols on the road.
+    pub marks: &'a [Mark],
+    /// Shadows on the ground.
+    pub shadows: &'a Shadows,
     /// Seed of the texture.
     pub salt: u64,
 }
@@ -84,7 +90,8 @@ impl GroundPainter<'_> {
         let albedo =
             if on_road { self.asphalt(s, d, point) } else { self.roadside(s, d, point, distance) };
         let wet = self.light.wet * if on_road { 1.0 } else { 0.3 };
-        let light = self.light.irradiance(&Vector3::z(), 1.0, self.lamp_light(s, d));
+        let light =
+            self.light.irradiance(&Vector3::z(), self.shadows.sunlit(point), self.lamp_light(s, d));
         let mut out = [0.0; 3];
         let cos = (-ray.z) as f32;
         let fresnel = wet * (0.03 + 0.9 * (1.0 - cos).powi(5)) * 0.6;
@@ -121,7 +128,7 @@ impl GroundPainter<'_> {
             tone *= 0.72;
         }
         let asphalt = scale([1.0, 0.985, 0.95], base * tone);
-        match self.paint_at(s, d) {
+        match self.paint_at(s, d, point) {
             Some((colour, cover)) => {
                 let wear = smooth(point[0] / 0.35, point[1] / 0.35, self.salt ^ 8);
                 let worn = smooth(point[0] / 4.0, point[1] / 4.0, self.salt ^ 9);
@@ -133,7 +140,10 @@ impl GroundPainter<'_> {
     }
 
     /// Road paint at a place: its colour and cover.
-    fn paint_at(&self, s: f64, d: f64) -> Option<(Rgb, f32)> {
+    fn paint_at(&self, s: f64, d: f64, point: [f64; 2]) -> Option<(Rgb, f32)> {
+        if let Some(found) = self.marks.iter().rev().find_map(|m| m.at(s, d, point, self.salt)) {
+            return Some(found);
+        }
         for marking in &self.scene.markings {
             if (d - marking.offset_m).abs() > marking.width_m / 2.0 {
                 continue;

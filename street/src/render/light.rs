@@ -9,6 +9,9 @@ use crate::scene::{Daylight, Scene};
 use crate::vehicle::mesh::Material;
 use crate::vehicle::paint::{Livery, Rgb};
 
+/// A sun lower than this casts shadows as long as at it, sine of its height: 5.7 degrees.
+pub const LOWEST_SUN: f64 = 0.1;
+
 /// The light of a scene.
 #[derive(Debug, Clone)]
 pub struct Lighting {
@@ -16,6 +19,8 @@ pub struct Lighting {
     pub to_sun: Vector3<f64>,
     /// Sunlight on a surface that faces it.
     pub sun: Rgb,
+    /// Share of it that comes straight from the sun's disc and casts shadows, 0 to 1.
+    pub direct: f32,
     /// Light of the sky from above.
     pub sky: Rgb,
     /// Light of a street lamp below it.
@@ -54,6 +59,7 @@ impl Lighting {
             Daylight::Day => Lighting {
                 to_sun,
                 sun: scale([1.0, 0.95, 0.86], 2.4 * clear * clear + 0.12 * (1.0 - clear)),
+                direct: 2.4 * clear * clear / (2.4 * clear * clear + 0.12 * (1.0 - clear)),
                 sky: mix([0.50, 0.60, 0.78], [0.98, 1.0, 1.04], cloud),
                 lamp: [0.0; 3],
                 horizon: mix([0.80, 0.88, 0.98], [0.9, 0.92, 0.94], cloud),
@@ -67,6 +73,7 @@ impl Lighting {
             Daylight::Dusk => Lighting {
                 to_sun,
                 sun: [0.0; 3],
+                direct: 0.0,
                 sky: [0.105, 0.110, 0.135],
                 lamp: [0.10, 0.07, 0.035],
                 horizon: [0.20, 0.15, 0.14],
@@ -80,6 +87,7 @@ impl Lighting {
             Daylight::Night => Lighting {
                 to_sun,
                 sun: [0.0; 3],
+                direct: 0.0,
                 sky: [0.016, 0.016, 0.019],
                 lamp: [0.34, 0.26, 0.16],
                 horizon: [0.012, 0.010, 0.010],

@@ -8,14 +8,18 @@ mod canvas;
 mod glow;
 mod ground;
 mod light;
+mod overlay;
+mod painted;
 mod rain;
 mod scenery;
 mod sensor;
+mod shadows;
 mod vehicles;
 
 use canvas::Canvas;
 use ground::GroundPainter;
 use light::Lighting;
+use shadows::Shadows;
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
@@ -114,7 +118,10 @@ impl Renderer {
             rain::paint(canvas, (width, height), scene.light.rain, self.seed, instant);
         }
         let salt = hash(self.texture ^ instant);
-        let picture = sensor::expose(canvas, width as usize, height as usize, &scene.imaging, salt);
+        let mut picture =
+            sensor::expose(canvas, width as usize, height as usize, &scene.imaging, salt);
+        let frame = (snapshot.time_s / scene.interval_s).round() as usize;
+        overlay::burn(&mut picture, &scene.overlays, scene.frame_time(frame));
         if scene.faults.frozen_from_s.is_some() {
             self.last_live = Some(picture.clone());
         }
@@ -128,11 +135,15 @@ impl Renderer {
             let margin = MARGIN_PX + scene.faults.shake_px.ceil() as u32;
             let scale = self.work.scale() as u32;
             let mut canvas = Canvas::new(scene.camera.width, scene.camera.height, margin, scale);
+            let marks = painted::marks(scene, street.lane_lines());
+            let shadows = Shadows::of(scene, street.road(), &self.light, self.texture);
             let painter = GroundPainter {
                 scene,
                 road: street.road(),
                 lines: street.lane_lines(),
                 light: &self.light,
+                marks: &marks,
+                shadows: &shadows,
                 salt: self.texture,
             };
             painter.paint(&mut canvas, &view.aim);

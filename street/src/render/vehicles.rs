@@ -1,16 +1,18 @@
 //! Vehicles and barriers in the picture: shadows on the road, then bodies from far to near.
 //!
 //! Owns the order of painting (a painter's algorithm over convex-ish bodies: back faces are
-//! dropped, the rest is sorted by distance, decals last). Lights' glare is `glow.rs`.
+//! dropped, the rest is sorted by distance, decals last). The order of the bodies is `order.rs`,
+//! lights' glare is `glow.rs`.
 
 use nalgebra::{Point3, Vector3};
 
 use super::canvas::Canvas;
-use super::light::Lighting;
+use super::light::{LOWEST_SUN, Lighting};
 use crate::camera::Camera;
-use crate::outline::hull;
+use crate::order::{self, Item};
+use crate::outline::{hull, hull_boxes};
 use crate::simulation::{Placed, Snapshot};
-use crate::solid::Block;
+use crate::solid::{Block, Surface};
 use crate::vehicle::mesh::{Face, mesh_of};
 
 /// Vehicles lower than this in the picture get no decals, px.
@@ -25,32 +27,30 @@ pub fn paint(
     camera: &Camera,
 ) {
     let eye = camera.position();
-    let mut items: Vec<(f64, Item)> = Vec::new();
+    let mut items: Vec<Item<Thing>> = Vec::new();
     for vehicle in &snapshot.vehicles {
-        let distance = (vehicle.centre[0] - eye.x).hypot(vehicle.centre[1] - eye.y);
         if in_picture(vehicle, camera) {
-            items.push((distance, Item::Vehicle(vehicle)));
+            items.push(Item::vehicle(vehicle, &eye, Thing::Vehicle(vehicle)));
         }
     }
-    for block in blocks {
-        let distance = (block.middle[0] - eye.x).hypot(block.middle[1] - eye.y);
-        items.push((distance, Item::Block(block)));
-    }
-    items.sort_by(|a, b| b.0.total_cmp(&a.0));
-    for (_, item) in &items {
-        if let Item::Vehicle(vehicle) = item {
-            shadow(canvas, vehicle, light, camera);
+    items.extend(blocks.iter().map(|block| Item::block(block, &eye, Thing::Block(block))));
+    let items = order::far_to_near(items, &snapshot.vehicles, &eye);
+    for item in &items {
+        match item.what {
+            Thing::Vehicle(vehicle) => shadow(canvas, vehicle, light, camera),
+            Thing::Block(block) if block.shadow => block_shadow(canvas, block, light, camera),
+            Thing::Block(_) => {}
         }
     }
-    for (distance, item) in &items {
-        match item {
-            Item::Vehicle(vehicle) => body(canvas, vehicle, *distance, light, camera),
-            Item::Block(block) => barrier(canvas, block, *distance, light, camera),
+    for item in &items {
+        match item.what {
+            Thing::Vehicle(vehicle) => body(canvas, vehicle, item.distance, light, camera),
+            Thing::Block(block) => barrier(canvas, block, item.distance, light, camera),
         }
     }
 }
 
-enum Item<'a> {
+enum Thing<'a> {
     Vehicle(&'a Placed),
     Block(&'a Block),
 }
@@ -60,6 +60,9 @@ pub fn in_picture(vehicle: &Placed, camera: &Camera) -> bool {
     let centre = Point3::new(vehicle.centre[0], vehicle.centre[1], 1.0);
     let depth = (camera.rotation * centre.coords + camera.translation).z;
     let Some(image) = camera.project(&centre) else { return false };
+    if order::is_long(vehicle) && hull_boxes(vehicle, camera).is_none() {
+        return false;
+    }
     let reach = camera.focal_px * vehicle.model().length_m() / (depth - 6.0).max(2.0);
     image[0] > -reach
         && image[1] > -reach
@@ -78,7 +81,7 @@ fn shadow(canvas: &mut Canvas, vehicle: &Placed, light: &Lighting, camera: &Came
     let model = vehicle.model();
     let sunny = light.sun[1] / (light.sun[1] + light.sky[1] + 1e-6);
     if sunny > 0.05 {
-        let reach = light.to_sun / light.to_sun.z.max(0.1);
+        let reach = light.to_sun / light.to_sun.z.max(LOWEST_SUN);
         let points = mesh_of(vehicle.model_index).parts.iter().flatten().map(|point| {
             let p = vehicle.world(*point);
             [p.x - p.z * reach.x, p.y - p.z * reach.y]
@@ -105,6 +108,21 @@ fn shadow(canvas: &mut Canvas, vehicle: &Placed, light: &Lighting, camera: &Came
         });
         if let Some(outline) = on_road(points, camera) {
             canvas.polygon(&outline, [6, 6, 8], opacity * wet_lift);
+        }
+    }
+}
+
+fn block_shadow(canvas: &mut Canvas, block: &Block, light: &Lighting, camera: &Camera) {
+    let reach = light.to_sun / light.to_sun.z.max(LOWEST_SUN);
+    let fallen = block.corners().map(|p| [p.x - p.z * reach.x, p.y - p.z * reach.y]);
+    let around = block
+        .foot
+        .map(|p| std::array::from_fn(|k| block.middle[k] + 1.25 * (p[k] - block.middle[k])));
+    let sunny = light.sun[1] / (light.sun[1] + light.sky[1] + 1e-6);
+    let layers = [(fallen.to_vec(), 0.62 * sunny), (around.to_vec(), 0.3)];
+    for (points, opacity) in layers {
+        if let Some(outline) = on_road(points.into_iter(), camera).filter(|_| opacity > 0.03) {
+            canvas.polygon(&outline, [8, 8, 12], opacity);
         }
     }
 }
@@ -143,7 +161,13 @@ fn body(canvas: &mut Canvas, vehicle: &Placed, distance: f64, light: &Lighting, 
 fn barrier(canvas: &mut Canvas, block: &Block, distance: f64, light: &Lighting, camera: &Camera) {
     let corners = block.corners();
     let eye = camera.position();
-    let albedo = if block.hedge { [0.045, 0.085, 0.025] } else { [0.36, 0.355, 0.34] };
+    let albedo = match block.surface {
+        Surface::Concrete => [0.36, 0.355, 0.34],
+        Surface::Hedge => [0.045, 0.085, 0.025],
+        Surface::Element => [0.42, 0.415, 0.40],
+        Surface::Red => [0.55, 0.075, 0.03],
+        Surface::White => [0.72, 0.72, 0.70],
+    };
     // Sides around the foot, then the top.
     let faces = [[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7], [4, 5, 6, 7]];
     for face in faces {

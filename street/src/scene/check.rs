@@ -8,12 +8,15 @@ use crate::error::{Error, Result};
 /// The longest road a scene may have, m: keeps sampling and traffic bounded.
 const MAX_ROAD_M: f64 = 5_000.0;
 
-struct Checker<'a> {
+/// The longest mean run of trucks: more than any measured stretch holds.
+const LONGEST_RUN: f64 = 50.0;
+
+pub(super) struct Checker<'a> {
     origin: &'a str,
 }
 
 impl Checker<'_> {
-    fn refuse(&self, key: &str, value: impl ToString, expected: impl ToString) -> Error {
+    pub(super) fn refuse(&self, key: &str, value: impl ToString, expected: impl ToString) -> Error {
         Error::SceneValue {
             origin: self.origin.to_owned(),
             key: key.to_owned(),
@@ -22,7 +25,7 @@ impl Checker<'_> {
         }
     }
 
-    fn within(&self, key: &str, value: f64, low: f64, high: f64) -> Result<()> {
+    pub(super) fn within(&self, key: &str, value: f64, low: f64, high: f64) -> Result<()> {
         if value.is_finite() && (low..=high).contains(&value) {
             return Ok(());
         }
@@ -54,6 +57,7 @@ impl Scene {
         self.check_road(&c)?;
         self.check_lanes(&c)?;
         self.check_fleet(&c)?;
+        self.check_marks(&c)?;
         self.check_faults(&c)
     }
 
@@ -182,6 +186,11 @@ impl Scene {
         let sum: f64 = shares.iter().map(|(_, share)| share).sum();
         if sum <= 0.0 {
             return Err(c.refuse("fleet", sum, "at least one share above 0"));
+        }
+        c.within("fleet.trailer_share", mix.trailer_share, 0.0, 1.0)?;
+        c.within("fleet.truck_run", mix.truck_run, 1.0, LONGEST_RUN)?;
+        if mix.truck_run > 1.0 && mix.truck_share() >= 1.0 {
+            return Err(c.refuse("fleet.truck_run", mix.truck_run, "1 in a fleet of trucks alone"));
         }
         Ok(())
     }

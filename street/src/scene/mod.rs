@@ -4,11 +4,19 @@
 //! keys are refused. Owns no behaviour: the road, the traffic, the picture each read their part.
 
 mod check;
+mod check_marks;
+mod fleet;
 mod lane;
+mod marks;
 mod roadside;
 
+pub use fleet::FleetMix;
 pub use lane::{LaneSpec, Marking, Signal, Slowdown};
-pub use roadside::{Barrier, Bridge, BuildingRow, Ground, LampRow, Roadside, Strip, TreeRow};
+pub use marks::{Ink, Overlay, OverlayKind, Painted, PaintedKind, Turn};
+pub use roadside::{
+    Barrier, Bridge, BuildingRow, Closure, ClosureKind, Ground, LampRow, Roadside, Shadow,
+    ShadowKind, Strip, TreeRow,
+};
 
 use std::path::Path;
 
@@ -52,6 +60,12 @@ pub struct Scene {
     /// Painted lines along the road.
     #[serde(default, rename = "marking")]
     pub markings: Vec<Marking>,
+    /// Words and symbols painted in lanes, later ones over earlier ones.
+    #[serde(default)]
+    pub painted: Vec<Painted>,
+    /// What the camera burns into its picture, later ones over earlier ones.
+    #[serde(default, rename = "overlay")]
+    pub overlays: Vec<Overlay>,
     /// Ground and objects beside the lanes.
     #[serde(default)]
     pub roadside: Roadside,
@@ -191,30 +205,6 @@ pub struct RoadSpec {
 
 fn default_asphalt() -> f64 {
     0.17
-}
-
-/// Shares of vehicle classes; any scale.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FleetMix {
-    /// The five car models, equally.
-    pub car: f64,
-    /// Vans.
-    pub van: f64,
-    /// Buses.
-    pub bus: f64,
-    /// Trucks.
-    pub truck: f64,
-    /// Motorcycles.
-    pub motorcycle: f64,
-    /// Share of cars painted as taxis, 0 to 1.
-    pub taxi_share: f64,
-}
-
-impl Default for FleetMix {
-    fn default() -> Self {
-        FleetMix { car: 0.78, van: 0.1, bus: 0.03, truck: 0.06, motorcycle: 0.03, taxi_share: 0.0 }
-    }
 }
 
 /// The measured stretch of a lane.

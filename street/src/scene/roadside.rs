@@ -1,6 +1,6 @@
 //! The keys of a scene for what lies and stands beside the carriageway.
 //!
-//! Owns strips, barriers, trees, buildings, bridges and lamps as data; ranges are `check.rs`.
+//! Owns strips, barriers, trees, buildings, bridges, lamps, closures and shadows as data; ranges are `check.rs`.
 
 use serde::Deserialize;
 
@@ -26,6 +26,12 @@ pub struct Roadside {
     /// Rows of street lamps.
     #[serde(rename = "lamps")]
     pub lamps: Vec<LampRow>,
+    /// Rows of barrier elements or cones on a stretch. They hide what is behind them.
+    #[serde(rename = "closure")]
+    pub closures: Vec<Closure>,
+    /// Shadows of things that the camera does not see.
+    #[serde(rename = "shadow")]
+    pub shadows: Vec<Shadow>,
 }
 
 /// Surface of a strip of ground.
@@ -127,4 +133,102 @@ pub struct LampRow {
     pub spacing_m: f64,
     /// Height, m.
     pub height_m: f64,
+}
+
+/// What a closure is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ClosureKind {
+    /// Plastic elements filled with water, red and white in turn.
+    Water,
+    /// Concrete elements.
+    Concrete,
+    /// Cones.
+    Cone,
+}
+
+impl ClosureKind {
+    /// Length of an element, m.
+    pub fn length_m(self) -> f64 {
+        match self {
+            ClosureKind::Water => 1.5,
+            ClosureKind::Concrete => 3.0,
+            ClosureKind::Cone => 0.36,
+        }
+    }
+
+    /// Width of an element at its foot, m.
+    pub fn width_m(self) -> f64 {
+        match self {
+            ClosureKind::Water => 0.45,
+            ClosureKind::Concrete => 0.5,
+            ClosureKind::Cone => 0.36,
+        }
+    }
+
+    /// Height of an element, m.
+    pub fn height_m(self) -> f64 {
+        match self {
+            ClosureKind::Water => 0.9,
+            ClosureKind::Concrete => 0.8,
+            ClosureKind::Cone => 0.75,
+        }
+    }
+
+    /// The usual gap between elements, m.
+    pub fn gap_m(self) -> f64 {
+        match self {
+            ClosureKind::Water => 0.15,
+            ClosureKind::Concrete => 0.05,
+            ClosureKind::Cone => 4.0,
+        }
+    }
+}
+
+/// A row of elements on a stretch, at the edge of the carriageway or in a lane without traffic.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Closure {
+    /// What it is made of.
+    pub kind: ClosureKind,
+    /// Start along the road, m.
+    pub from_m: f64,
+    /// Behind this no element with its gap begins, along the road, m.
+    pub to_m: f64,
+    /// Centre at the start, right of the reference line, m.
+    pub offset_m: f64,
+    /// Centre at the end, m; absent is as at the start.
+    pub to_offset_m: Option<f64>,
+    /// Gap between elements, m; absent is the usual one.
+    pub gap_m: Option<f64>,
+}
+
+/// What casts a shadow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ShadowKind {
+    /// An upright mast.
+    Mast,
+    /// Two masts and the beam between them.
+    Gantry,
+    /// The leaves of a tree: patches of shade and of sun.
+    Leaves,
+}
+
+/// The shadow under the sun of a thing that is not drawn itself: it stands beside the picture.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shadow {
+    /// What casts it.
+    pub kind: ShadowKind,
+    /// Foot along the road, m; may lie before its start.
+    pub at_m: f64,
+    /// Foot right of the reference line, m.
+    pub offset_m: f64,
+    /// The other foot of a gantry, m.
+    pub to_offset_m: Option<f64>,
+    /// Height, m.
+    pub height_m: f64,
+    /// Thickness of mast and beam, of leaves the crown's width, m; absent is the usual one.
+    pub width_m: Option<f64>,
 }

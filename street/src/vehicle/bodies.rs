@@ -1,4 +1,4 @@
-//! The shapes of the nine models: three-box cars, van, double-decker, box truck, motorcycle.
+//! The shapes of the ten models: three-box cars, van, double-decker, trucks, motorcycle.
 //!
 //! Owns the proportions. All lengths in metres in the model frame (front at negative Y).
 
@@ -13,6 +13,7 @@ pub fn build(model: &Model) -> Mesh {
         Class::Car => car(&mut builder, model),
         Class::Van => van(&mut builder, model),
         Class::Bus => bus(&mut builder, model),
+        Class::Truck if model.length_m() > 12.0 => articulated(&mut builder, model),
         Class::Truck => truck(&mut builder, model),
         Class::Motorcycle => motorcycle(&mut builder, model),
     }
@@ -242,6 +243,56 @@ fn truck(b: &mut Builder, model: &Model) {
     b.wheels(half - 0.1, front + 0.95, 0.42);
     b.wheels(half - 0.1, rear - 1.7, 0.42);
     mirrors(b, model, 0.4);
+}
+
+/// Length of a semi-trailer, m.
+const TRAILER_M: f64 = 13.6;
+
+fn articulated(b: &mut Builder, model: &Model) {
+    use Material::{Glass, Headlight, Paint, Plate, Roof, Shade, Taillight, Trim};
+    let half = model.width_m() / 2.0;
+    let [front, rear] = model.ends_m;
+    let ring = |y: f64, w: f64, top: f64, belt: f64| Ring {
+        y,
+        half: [0.92 * w * half, 0.95 * w * half, 0.95 * w * half, 0.92 * w * half, 0.82 * w * half],
+        z: [0.35, 1.0, belt, top - 0.25, top - 0.06],
+        crown: top,
+    };
+    // Cab over the engine, with a fairing up to the trailer's roof.
+    let rings = [
+        ring(front, 0.97, 2.0, 1.5),
+        ring(front + 0.1, 1.0, 2.2, 1.7),
+        ring(front + 0.3, 1.0, 2.95, 1.8),
+        ring(front + 1.0, 1.0, 3.45, 1.8),
+        ring(front + 2.2, 1.0, 3.75, 1.8),
+    ];
+    let side = strip(Glass, Paint, Paint);
+    let back = strip(Paint, Paint, Paint);
+    b.loft(&rings, &[BODY, strip(Glass, Paint, Glass), side, back], Paint, Shade);
+    let middle = model.centre_m()[0];
+    let (x0, x1) = (middle - half, middle + half);
+    // Chassis in the gap behind the cab, the trailer's bed and its box. Bed and box have one middle,
+    // so that sorting by distance paints the box over its bed.
+    b.cuboid([x0 + 0.35, x1 - 0.35], [front + 2.1, rear - TRAILER_M], [0.5, 1.05], Trim);
+    b.cuboid([x0 + 0.25, x1 - 0.25], [rear - TRAILER_M + 1.6, rear - 1.6], [0.7, 1.15], Trim);
+    b.cuboid([x0, x1], [rear - TRAILER_M, rear], [1.15, model.height_m], Roof);
+    let nose = front - 0.004;
+    b.on_front([x0 + 0.3, x1 - 0.3], [1.0, 1.45], nose, Trim);
+    b.on_front([x0 + 0.14, x0 + 0.5], [0.72, 0.96], nose, Headlight);
+    b.on_front([x1 - 0.5, x1 - 0.14], [0.72, 0.96], nose, Headlight);
+    b.on_front([x0 + 0.3, x1 - 0.3], [0.35, 0.5], nose, Shade);
+    b.on_front([middle - 0.26, middle + 0.26], [0.5, 0.62], nose, Plate);
+    let tail = rear + 0.004;
+    b.on_rear([middle - 0.02, middle + 0.02], [1.2, model.height_m - 0.1], tail, Shade);
+    b.on_rear([x0 + 0.08, x0 + 0.55], [0.9, 1.08], tail, Taillight);
+    b.on_rear([x1 - 0.55, x1 - 0.08], [0.9, 1.08], tail, Taillight);
+    b.on_rear([x0 + 0.1, x1 - 0.1], [0.5, 0.62], tail, Trim);
+    b.on_rear([middle - 0.26, middle + 0.26], [0.66, 0.78], tail, Plate);
+    for y in [front + 1.4, front + 5.2, rear - 4.6, rear - 3.3, rear - 2.0] {
+        b.wheels(half - 0.08, y, 0.48);
+    }
+    b.on_flanks(half - 0.2, [front + 6.4, rear - 5.4], [0.55, 1.1], Trim);
+    mirrors(b, model, 0.5);
 }
 
 fn motorcycle(b: &mut Builder, model: &Model) {

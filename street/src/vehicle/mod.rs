@@ -35,7 +35,7 @@ pub enum Class {
     Van,
     /// City bus.
     Bus,
-    /// Box truck.
+    /// Box truck, or lorry with a semi-trailer.
     Truck,
     /// Motorcycle with its rider.
     Motorcycle,
@@ -78,12 +78,16 @@ impl Model {
 /// The number of the paper's car models, which come first in [`MODELS`].
 pub const CAR_MODELS: usize = 5;
 
+/// The lorry with a semi-trailer, in [`MODELS`].
+pub const ARTICULATED: usize = 9;
+
 /// All models. The five cars' key points are the paper's (measured by its authors from
 /// dimensions.com, published with their code as `vehicle_3dkeypoints_head.json`); note that
 /// their two back corners differ by 0.34 to 0.4 m along Y. A footprint ends where the key
 /// points end. The others' dimensions and key points are ours, after common vehicles of their
-/// class (a 5.3 m panel van, a 12 m double-decker of 4.4 m, an 8 m box truck, a 125 cc machine).
-pub const MODELS: [Model; 9] = [
+/// class (a 5.3 m panel van, a 12 m double-decker of 4.4 m, an 8 m box truck, a 125 cc machine,
+/// a 16.5 m lorry with a semi-trailer, the longest that Directive 96/53/EC allows).
+pub const MODELS: [Model; 10] = [
     Model {
         name: "Toyota_Corolla",
         class: Class::Car,
@@ -236,6 +240,23 @@ pub const MODELS: [Model; 9] = [
         sides_m: [0.1, 0.68],
         ends_m: [-2.05, 0.0],
         height_m: 1.65,
+    },
+    Model {
+        name: "Articulated_Lorry",
+        class: Class::Truck,
+        key_points: [
+            [0.27, -16.46, 0.85],
+            [2.28, -16.46, 0.85],
+            [1.275, -16.5, 0.55],
+            [1.275, -16.35, 1.75],
+            [-0.18, -15.9, 2.1],
+            [2.73, -15.9, 2.1],
+            [2.55, 0.0, 1.1],
+            [0.0, 0.0, 1.1],
+        ],
+        sides_m: [0.0, 2.55],
+        ends_m: [-16.5, 0.0],
+        height_m: 4.0,
     },
 ];
 

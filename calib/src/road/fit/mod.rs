@@ -48,6 +48,7 @@ mod width;
 
 pub use cues::{
     BoxCue, Class, Cues, Labelled, LaneCue, MEASURED_REL_SD, MarkCue, READING_PX, RectangleCue,
+    STATED_WIDTH_SD_M,
 };
 pub use doubt::{Doubt, Others};
 pub use errors::{Across, DISTANCES, PlaceErrors, RoadErrors, WidthErrors};

@@ -9,10 +9,11 @@ use std::collections::BTreeMap;
 const UNITS: [&str; 11] = ["ms", "us", "MB", "kB", "KiB", "GB", "%", "points", "s", "minutes", "m"];
 
 /// Not measured, or the same by chance, each with the reason.
-const ALLOWED: [(&str, &str); 5] = [
+const ALLOWED: [(&str, &str); 6] = [
     ("0.315", "the model's threshold, a setting"),
     ("0.689", "two recalls, of the street and of a test camera"),
     ("0.790", "two recalls, of the street and of a mix"),
+    ("0.872", "a recall of the street and a precision of a mean of weights"),
     ("0.931", "a recall of the street and a precision on topview"),
     ("15.2 %", "an error of counts and one of a calibration"),
 ];

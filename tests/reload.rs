@@ -121,7 +121,7 @@ fn windows_that_only_the_memory_holds_are_said_in_the_state() {
     std::fs::write(&spool, "in the way").expect("written");
     let words = heard(&manager, |word| word.contains("memory alone"));
     assert!(words.iter().any(|word| word.contains("a file is in its way")), "{words:?}");
-    // Beside it a refused configuration is said all the same.
+    // A refused configuration is reported beside it.
     write_config(&folder.path().join("verge.toml"), "min_completeness = 3");
     hang_up(&daemon);
     let words = heard(&manager, |word| word.contains("; reload refused: "));

@@ -341,7 +341,7 @@ fn a_draft_on_other_pictures_is_kept_and_said() {
         serde_json::from_slice(&body).unwrap()
     };
     let answer = site_json(&other);
-    let said = answer["aside"].as_str().expect("it is said");
+    let said = answer["aside"].as_str().expect("the page names it");
     assert!(said.contains("draft-1.json") && said.contains("other pictures"), "{said}");
     let mut drawing = answer["drawing"].clone();
     assert_ne!(drawing["camera_id"], "another");
@@ -353,7 +353,7 @@ fn a_draft_on_other_pictures_is_kept_and_said() {
     assert_eq!(kept("draft-1.json").unwrap(), draft, "as it was");
     assert_ne!(kept("draft.json").unwrap(), draft, "the new one");
     assert_eq!(site_json(&other)["drawing"]["camera_id"], "two");
-    // Once it is said, and the drawing dropped, it is said no more.
+    // It stays until the drawing is dropped.
     assert!(site_json(&other)["aside"].is_string());
     assert_eq!(other.post("api/draft/drop", &json!({})).0, 200);
     assert!(site_json(&other)["aside"].is_null());
@@ -528,7 +528,7 @@ fn saving_keeps_an_audit_however_it_is_written_and_takes_a_stale_one_out() {
         let now = saved(&text);
         assert!(!now.contains("audit") && now.contains("lanes.lut"), "{now}");
     }
-    // What the sensor cannot do without comes back, and another table is said.
+    // Required keys come back, and the answer names another table.
     let now = saved("");
     for line in ["site = \"bridge 7\"", "source = ", "file = \"lanes.lut\""] {
         assert!(now.contains(line), "{now}");

@@ -30,7 +30,7 @@ pub fn from_path(path: &str, local_s: i32) -> Option<UtcMs> {
     }
 }
 
-/// Whether the time in `path` is told to a fraction of a second, be it none (`.000`).
+/// Whether the name in `path` states a fraction of a second; `.000` is one.
 pub fn tells_fraction(path: &str) -> bool {
     let plain = || find(name_in(path), since_1970).map(|(_, fraction)| fraction);
     let ordered = || Dates::ALL.into_iter().find_map(|dates| in_order(path, dates));
@@ -80,7 +80,7 @@ fn find<T>(text: &str, parse: impl Fn(&[u8]) -> Option<T>) -> Option<T> {
 struct Stamp {
     civil: civil::DateTime,
     offset_s: Option<i32>,
-    /// Whether it is told to a fraction of a second.
+    /// Whether the name states a fraction of a second.
     fraction: bool,
 }
 
@@ -331,7 +331,7 @@ fn by_hour(date: civil::Date, behind: &str) -> Option<Stamp> {
 }
 
 /// Seconds since 1970, with milliseconds behind a dot, or milli-, micro- or nanoseconds: the years 2001
-/// to 2100. And whether fractions of a second are told.
+/// to 2100. And whether they state a fraction of a second.
 fn since_1970(bytes: &[u8]) -> Option<(UtcMs, bool)> {
     let digits = bytes.iter().take_while(|byte| byte.is_ascii_digit()).count();
     let value: i64 = std::str::from_utf8(bytes.get(..digits)?).ok()?.parse().ok()?;

@@ -14,12 +14,8 @@ use std::path::Path;
 use std::process::Command;
 use verge::lane::LaneTable;
 
-/// The site's audit file.
-pub const AUDIT: &str = AUDITED;
 /// What was counted.
 pub const COUNTS: &str = "audit_counts.csv";
-/// The saved lane table.
-const TABLE: &str = LANES;
 /// The saved configuration.
 const CONFIG: &str = "verge.toml";
 /// Pictures that a person counts.
@@ -127,7 +123,7 @@ impl Audit {
         }
         verge_desk::write_whole(&site.file(COUNTS), text.as_bytes())?;
         command.arg("--counts").arg(site.file(COUNTS));
-        command.arg("--out").arg(site.file(AUDIT)).arg("--json");
+        command.arg("--out").arg(site.file(AUDITED)).arg("--json");
         self.result.start(command, "", move |lines| {
             let text = lines.last().map_or("", String::as_str);
             let result = serde_json::from_str(text)
@@ -141,19 +137,19 @@ impl Audit {
         let detector = self.detector.as_ref().ok_or_else(|| {
             Error::Usage("there is no detector: start `mvcalib desk` with --model".into())
         })?;
-        if !site.file(TABLE).is_file() {
+        if !site.file(LANES).is_file() {
             return Err(Error::Usage("save the site first: what is saved is audited".into()));
         }
         let mut command = Command::new(&detector.program);
         command.arg("audit").arg("--frames").arg(&site.frames);
-        command.arg("--table").arg(site.file(TABLE)).arg("--model").arg(&detector.model);
+        command.arg("--table").arg(site.file(LANES)).arg("--model").arg(&detector.model);
         Ok(command)
     }
 }
 
 /// The lanes of the saved table.
 fn lanes(site: &Site) -> Option<Vec<u8>> {
-    let bytes = std::fs::read(site.file(TABLE)).ok()?;
+    let bytes = std::fs::read(site.file(LANES)).ok()?;
     let table = LaneTable::parse(&bytes[..]).ok()?;
     Some(table.description().lanes.iter().map(|lane| lane.id.get()).collect())
 }
@@ -162,8 +158,8 @@ fn lanes(site: &Site) -> Option<Vec<u8>> {
 pub fn holds(site: &Site, table: &[u8]) -> bool {
     let config = std::fs::read_to_string(site.file(CONFIG)).unwrap_or_default();
     audits(&config).1
-        && site.file(AUDIT).is_file()
-        && std::fs::read(site.file(TABLE)).is_ok_and(|saved| saved == table)
+        && site.file(AUDITED).is_file()
+        && std::fs::read(site.file(LANES)).is_ok_and(|saved| saved == table)
 }
 
 /// The configuration with the audit in it.
